@@ -21,7 +21,7 @@ from gpgrad_core.types import Dataset, LoopClosure, PairOfIds, Registration
 
 ACCEPTED, REFUSED = "accepted", "refused"
 RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
-"""What becomes of a pair: its verdict, and where the truth is known, whether that is right."""
+"""The outcome of a pair: its verdict, and where there is a truth, whether that is right."""
 
 BY_HAND = {accepted: Decision(accepted).reason for accepted in (True, False)}
 DECIDES: dict[str, bool | None] = {"accept": True, "refuse": False, "automatic": None}
@@ -36,7 +36,7 @@ class Decisions:
 
     # accepted or refused; of others the thresholds decide
     verdicts: Mapping[PairOfIds, bool] = field(default_factory=lambda: MappingProxyType({}))
-    # set by hand and refined, in place of the found ones
+    # set by hand and refined, in place of the detected ones
     motions: Mapping[PairOfIds, Registration] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[PairOfIds, str] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -75,13 +75,13 @@ def with_note(decisions: Decisions, pair: PairOfIds, note: str) -> Decisions:
 
 
 def with_motion(decisions: Decisions, pair: PairOfIds, registration: Registration) -> Decisions:
-    """Take a registration set by hand, and accept its pair."""
+    """Set a registration by hand, and accept its pair."""
     motions = MappingProxyType({**decisions.motions, pair: registration})
     return with_verdict(replace(decisions, motions=motions), pair, True)
 
 
 def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopClosure, ...]:
-    """Give the closures as a person decided; pairs that were set by hand only are added."""
+    """The closures as a person decided; pairs that were set by hand only are added."""
     decided: list[LoopClosure] = []
     for closure in closures:
         registration = decisions.motions.get(closure.pair, closure.registration)

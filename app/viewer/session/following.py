@@ -31,10 +31,10 @@ from gpgrad_core.types import Dataset, Submap
 CANDIDATES = 10
 """A submap is compared with so many earlier ones: to compare it with all takes longer each time."""
 MEMORY = 1_500_000_000
-"""Budget of a viewer that follows, unless another is given [bytes]: it is reached within the first
-fifty submaps, and kept for as long as the robot drives."""
+"""Budget of a viewer that follows, by default [bytes]: it is reached within the first
+fifty submaps, and holds for as long as the robot drives."""
 STORED = 5_000
-"""A store has room for so many submaps; of a longer drive, the oldest maps are made anew."""
+"""A store has room for so many submaps; of a longer drive, the oldest maps are inferred anew."""
 BYTES_IN_MEMORY = 100_000_000
 """Bytes of maps of earlier submaps to keep in memory; the rest waits in a temporary folder."""
 
@@ -94,7 +94,7 @@ class Following:
         return self._follower.failure
 
     def open(self, memo: Memo, stage: Callable[[str], Progress]) -> Opened:
-        """Begin, and wait for the first submap; what comes later is told by the drive."""
+        """Begin, and wait for the first submap; the drive reports those that come later."""
         self._memo = memo
         told = stage(f"Waiting for the first submap of {self._source.name}")
         self._ends.callback(self._follower.close)
@@ -141,7 +141,7 @@ class Following:
         if moment is None:
             return None
         self._keeper.settle(moment)
-        return msgspec.structs.replace(corrected(moment), closures=[])  # these were told
+        return msgspec.structs.replace(corrected(moment), closures=[])  # reported before
 
     def _begun(self) -> Drive:
         settings = self._keeper.settings

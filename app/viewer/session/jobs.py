@@ -32,9 +32,9 @@ MOST_THREADS = 8
 """Of a session."""
 
 GRACE_S = 0.15
-"""A run younger than this is let finish though a newer job waits [s].
+"""A run younger than this may finish though a newer job waits [s].
 
-Cancelling at every tick of a slider would starve the picture: each run would be given up a
+Cancelling at every tick of a slider would starve the picture: each run would be cancelled a
 moment before it is done.
 """
 
@@ -49,7 +49,7 @@ class Jobs:
     """A pool of threads; each starts when it is needed and ends when nothing is left to do.
 
     Attributes:
-        changed: Guards the pool and all its lanes; told of whatever happens to them.
+        changed: Guards the pool and all its lanes; notified of what happens to them.
         lanes: All that have work done here.
         closing: Whether nothing may begin any more, and what runs is to end.
     """
@@ -70,7 +70,7 @@ class Jobs:
         return any(lane.is_busy for lane in self.lanes if not lane.background)
 
     def schedule(self, turn: Turn, delay: float = 0.0) -> bool:
-        """Have a turn done after a delay [s]; says whether it will be."""
+        """Schedule a turn after a delay [s]; returns whether it will run."""
         with self.changed:
             if self.closing:
                 return False
@@ -90,7 +90,7 @@ class Jobs:
             thread.join()
 
     def _call_thread(self) -> None:
-        """Have a thread look at what is due: the one that waits, or another."""
+        """Wake the thread that waits for what is due, or start another."""
         if self._one_waits:
             self.changed.notify_all()
         elif len(self._threads) < MOST_THREADS:
@@ -103,7 +103,7 @@ class Jobs:
             turn()
 
     def _take(self) -> Turn | None:
-        """Take the first turn once it is due; None if another thread waits for it, or for none."""
+        """Pop the first turn once it is due; None if another thread waits for it, or for none."""
         with self.changed:
             while self._due:
                 delay = self._due[0][0] - time.monotonic()
@@ -131,7 +131,7 @@ class Slots:
         self._lock = threading.Lock()
 
     def take(self, on_free: Turn) -> bool:
-        """Take a slot; if there is none, ``on_free`` is called once, which then has one."""
+        """Acquire a slot; if there is none, ``on_free`` is called once, which then has one."""
         with self._lock:
             if self._num_free:
                 self._num_free -= 1
@@ -140,12 +140,12 @@ class Slots:
             return False
 
     def forget(self, on_free: Turn) -> None:
-        """Do not call it any more."""
+        """Cancel ``on_free``."""
         with self._lock:
             self._waiting = deque(one for one in self._waiting if one is not on_free)
 
     def release(self) -> None:
-        """Give a slot back."""
+        """Release a slot."""
         with self._lock:
             on_free = self._waiting.popleft() if self._waiting else None
             self._num_free += on_free is None
@@ -160,7 +160,7 @@ class Lane(Generic[Job, Result]):
     Jobs are run in the order they were submitted and never two at once, so a result can never
     be overtaken by an older one, and the last job submitted is always the last one shown.
 
-    A job may have previews, rougher results that are made sooner: each is shown at once, and the
+    A job may have previews, rougher results that come sooner: each is shown at once, and the
     next and the work itself begin only if no newer job waits by then.
 
     The callbacks are called from a thread of the pool. What they or the work raise becomes a value
@@ -172,7 +172,7 @@ class Lane(Generic[Job, Result]):
 
     jobs: Jobs  # whose threads do the work
     # Calls its progress hook every few hundredths of a second: there it is stopped when it is no
-    # longer wanted.
+    # longer needed.
     work: Callable[[Job, Progress], Result]
     on_result: Callable[[Job, Result, float], None]  # with the seconds it took
     on_error: Callable[[Job, Exception], None]
@@ -236,7 +236,7 @@ class Lane(Generic[Job, Result]):
         return bool(self._waiting)
 
     def forget_turn(self) -> None:
-        """Make the turn void that was asked for and has not begun; `changed` is held."""
+        """Cancel the requested turn that has not begun; `changed` is held."""
         self._turn_number += 1
         self._slots.forget(self._on_slot)
         self.is_busy = False
@@ -244,11 +244,11 @@ class Lane(Generic[Job, Result]):
 
     def _ask_turn(self) -> None:
         left = self._last_end + self.pause - time.monotonic()
-        delay = max(self.rest, left) if self._waiting else 0.0  # of a cancel is told at once
+        delay = max(self.rest, left) if self._waiting else 0.0  # a cancel is reported at once
         self.is_busy = self.jobs.schedule(partial(self._turn, self._turn_number), delay)
 
     def _turn(self, number: int) -> None:
-        """Tell of what was cancelled before its turn, and run the newest job once it has a slot."""
+        """Report what was cancelled before its turn, and run the newest job once it has a slot."""
         while True:
             with self._changed:
                 if self.jobs.closing or number != self._turn_number:
@@ -348,9 +348,9 @@ def _nothing(*_: object) -> None: ...
 
 
 class Throttle(Lane[None, None], Generic[Key]):
-    """Acts for each key that has asked, and then pauses.
+    """Acts for each requested key, and then pauses.
 
-    Whoever asks during the pause is served after it, once, so the last wish is always fulfilled.
+    A request during the pause is served after it, once, so the last one is always fulfilled.
     """
 
     def __init__(self, jobs: Jobs, act: Callable[[Key], None], pause: float) -> None:
@@ -360,7 +360,7 @@ class Throttle(Lane[None, None], Generic[Key]):
         self._asked: dict[Key, None] = {}
 
     def request(self, key: Key) -> None:
-        """Have it act for a key soon; returns at once."""
+        """Request an act for a key; returns at once."""
         with self._changed:
             self._asked[key] = None
             self.submit(None)

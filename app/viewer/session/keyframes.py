@@ -21,7 +21,7 @@ Words: TypeAlias = Annotated[str, Meta(max_length=MOST_LETTERS)]
 class Keyframe:
     """A step of a demonstration; its motion follows from the step before."""
 
-    title: str  # what is to be seen, in a few words
+    title: str  # what the step shows, in a few words
     line: str = ""  # the figures of it
     options: ViewOptions = field(default_factory=ViewOptions)
     camera: Camera | None = None  # None frames what is shown

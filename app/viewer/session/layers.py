@@ -37,7 +37,7 @@ Both: TypeAlias = tuple[Values, Values]
 
 @dataclass(frozen=True)
 class HeightFrame:
-    """The frame in which a submap's heights and slopes are told: turned, tilted and raised."""
+    """The frame of a submap's heights and slopes: turned, tilted and raised."""
 
     height: float = 0.0  # added to the heights at its middle [m]
     tilt: tuple[float, float] = (0.0, 0.0)  # added to the slopes along x and y [m/m]
@@ -52,13 +52,13 @@ class HeightFrame:
         return HeightFrame(height, (along, across), yaw, self.middle)
 
     def height_at(self, x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Give what is added to the heights at places of the submap [m]."""
+        """What is added to the heights at places of the submap [m]."""
         (a, b), (x0, y0) = self.tilt, self.middle
         return self.height + a * (x - x0) + b * (y - y0)
 
 
 OWN_LEVEL = HeightFrame()
-"""Of a submap that is told in its own frame."""
+"""Of a submap in its own frame."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class LayerStyle:
     def of_map(
         self, gradient_map: GradientMap, level: HeightFrame = OWN_LEVEL
     ) -> Float[Array, "rows columns"]:
-        """Give what it shows of one map alone: NaN if it compares two."""
+        """The values of one map alone: NaN if it compares two."""
         if self.values is None:
             return np.full(gradient_map.grid.shape, np.nan)
         return self.values(gradient_map, level)
@@ -121,7 +121,7 @@ def _steepness(gradient_map: GradientMap, level: HeightFrame) -> Float[Array, "r
 def _slopes(
     gradient_map: GradientMap, level: HeightFrame
 ) -> tuple[Float[Array, "rows columns"], Float[Array, "rows columns"]]:
-    """Give the slopes along x and y of the frame of a level [m/m]."""
+    """The slopes along x and y of the frame of a level [m/m]."""
     x, y = (gradient_map.slope[..., axis] + level.tilt[axis] for axis in (0, 1))
     c, s = np.cos(level.yaw), np.sin(level.yaw)
     return c * x - s * y, s * x + c * y

@@ -51,7 +51,7 @@ class ViewedMethod:
     def of_submap(
         self, submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
     ) -> PipelineParams:
-        """Give the parameters with which it makes the map of one submap."""
+        """The parameters with which it computes the map of one submap."""
         if not self.fits_each:
             return params
         return with_terrain(params, tune(submap, params.map, memo, progress))
@@ -64,7 +64,7 @@ class ViewedMethod:
         memo: Memo,
         progress: Progress = silent,
     ) -> PipelineParams:
-        """Put numbers in for what is automatic: those that all submaps share, or the query's."""
+        """Replace what is automatic by numbers: those that all submaps share, or the query's."""
         if not self.fits_each:
             return resolve_parameters(submaps, params, memo, progress)
         registration = replace(params.registration, inlier_radius=params.registration.radius(None))
@@ -80,7 +80,7 @@ def register_pair(
     helper: Helper | None = None,
     method: MethodName = "gradient",
 ) -> PairResult:
-    """Run all stages of a method for one pair, with the parameters that `ViewState.given` has."""
+    """Run all stages of a method for one pair, with the parameters of `ViewState.given`."""
     return METHODS[method].register(query, database, params, memo, progress, helper)
 
 
@@ -91,7 +91,7 @@ def map_params(
     progress: Progress = silent,
     method: MethodName = "gradient",
 ) -> PipelineParams:
-    """Give the parameters with which a method makes the map of one submap."""
+    """The parameters with which a method computes the map of one submap."""
     return METHODS[method].of_submap(submap, params, memo, progress)
 
 

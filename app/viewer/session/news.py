@@ -16,15 +16,15 @@ Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 """What the page is for."""
 
 DriveNews: TypeAlias = Literal["drawn", "latest wanted"]
-"""That the world is drawn anew, or that all of it is wanted and not what there was at some time."""
+"""The world is drawn anew, or its latest state is to be shown and not a past one."""
 
 
 @dataclass(frozen=True, eq=False)
 class SessionState:
     """Everything that a session is set to; a change makes a new one."""
 
-    view: ViewState  # what pictures are made from
-    opened: Opened | None = None  # last, if it was told
+    view: ViewState  # what pictures show
+    opened: Opened | None = None  # the last one, if any
     decided: tuple[Decisions, ...] = (Decisions(),)  # all of it after each step, the newest last
     mode: Mode = "Tune"
     subject: Subject = "pair"
@@ -41,12 +41,12 @@ class SessionState:
         return self.decided[-1]
 
     def opened_since(self, before: "SessionState") -> Opened | None:
-        """Give what was opened since another state; None if it is the same."""
+        """What was opened since another state; None if it is the same."""
         return None if self.opened is before.opened else self.opened
 
 
 class PairShown(NamedTuple):
-    """What the pipeline found for a state; the scene shows it."""
+    """The result of the pipeline for a state; the scene shows it."""
 
     state: ViewState
     result: PairResult
@@ -66,7 +66,7 @@ class PairMoved(NamedTuple):
 
 
 class PairOutdated:
-    """What is seen is not what is set: it failed, or was cancelled."""
+    """What is shown is not what is set: it failed, or was cancelled."""
 
 
 PairNews: TypeAlias = PairShown | SubmapShown | PairMoved | PairOutdated
@@ -78,11 +78,11 @@ class Verdicts(NamedTuple):
     state: ViewState  # with which they were judged; its parameters may be others by now
     params: PipelineParams  # of the comparison and of the verdicts
     found: DetectionResult = DetectionResult((), {})
-    outcomes: Mapping[PairOfIds, str] = MappingProxyType({})  # what the truth says, if it is known
+    outcomes: Mapping[PairOfIds, str] = MappingProxyType({})  # by the truth, if there is one
 
 
 class AllPairs(NamedTuple):
-    """What is known of all pairs."""
+    """The state of all pairs."""
 
     fraction: float | None = None  # how far their comparison is; None while none runs
     message: str = ""  # with which the last one ended

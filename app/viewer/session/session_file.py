@@ -142,7 +142,7 @@ class SavedSession:
         subject: Subject = "pair",
         keyframes: tuple[Keyframe, ...] = (),
     ) -> "SavedSession":
-        """Take what a session holds now."""
+        """What a session holds now."""
         source = Path(state.source)
         return cls(
             None if source == demo_path() else source.absolute(),
@@ -394,11 +394,11 @@ class Opened:
     """A dataset that was read, and what to start it with."""
 
     dataset: Dataset
-    params: PipelineParams  # what "Reset parameters" goes back to, as it was given
+    params: PipelineParams  # what "Reset parameters" restores, as it was requested
     source: str  # path that it was read from
     saved: SavedSession | None = None  # None begins as the dataset prefers
-    used: PipelineParams | None = None  # the parameters resolved; None if that was not asked yet
-    drive: Drive | Run | None = None  # that made the submaps, if known; it may still go on
+    used: PipelineParams | None = None  # the parameters resolved; None if they are not yet
+    drive: Drive | Run | None = None  # that the submaps are from, if any; it may still go on
     subject: Subject = "pair"  # what the scene shows first, where nothing is saved
 
     def begin(self, options: ViewOptions) -> ViewState:

@@ -22,7 +22,7 @@ def begin_drive(
     stage: Callable[[str], Progress],
     show: Callable[[Submap], None] = lambda _: None,
 ) -> Opened:
-    """Begin a drive, whose submaps are made and added in a thread of its own; shows the first."""
+    """Begin a drive, whose submaps come from a thread of its own; shows the first."""
     told = stage("Making the ground")
     told(0.0)
     world = make_world(loop_params(seed))

@@ -28,11 +28,11 @@ ROLES: tuple[Role, Role] = get_args(Role)
 FROM_ABOVE: Layout = "gradient from above"
 """Side by side like two maps, whatever the layer."""
 NEEDS_TWO = "A loop closure needs two submaps. Add a cloud, or open another dataset, in Data."
-"""What is said where one submap is all there is."""
+"""Shown where one submap is all there is."""
 
 
 FIELD_OF_VIEW, PARALLEL = np.deg2rad(45.0), np.deg2rad(1.5)
-"""From the lower to the upper edge; the narrow one is seen from so far that lines run parallel."""
+"""From the lower to the upper edge; the narrow one is so far away that lines run parallel."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Camera:
 
     @property
     def with_perspective(self) -> "Camera":
-        """As much of what is looked at, seen from near by."""
+        """The same view from near by, with perspective."""
         if not self.parallel:
             return self
         look_at, nearer = np.array(self.look_at), np.tan(PARALLEL / 2) / np.tan(FIELD_OF_VIEW / 2)
@@ -308,7 +308,7 @@ class Tuning:
 
 @dataclass(frozen=True, eq=False)
 class ViewState:
-    """Everything a picture is made from; the functions below make a changed copy.
+    """All that determines a picture; the functions below make a changed copy.
 
     Attributes:
         dataset: The open dataset.
@@ -316,13 +316,13 @@ class ViewState:
         database_id: Submap that it is registered to. It is another one, unless the dataset has no
             other: then there is no pair, and the one submap is shown alone.
         params: Of the pipeline, with numbers for what is automatic.
-        asked: The same as they were given: what is automatic is None.
-        resolved: Whether the numbers of ``params`` are those that the dataset gives ``asked``; else
+        asked: The same as they were requested: what is automatic is None.
+        resolved: Whether the numbers of ``params`` are those of ``asked`` on the dataset; else
             a fit is due, and they stand in for its result.
         method: Name of the method that runs with them.
         others: Those of the other methods, which have their own.
         options: Of the view.
-        source: Path that the dataset was read from; empty if it was made otherwise.
+        source: Path that the dataset was read from; empty if there is none.
         match: Number of the association that is pointed at, from 1; 0 for none.
         probe: The place whose values are read.
         reference: A, the setting that the present one, B, is shown beside; None shows B alone.
@@ -345,7 +345,7 @@ class ViewState:
     reference: Setting | None = None
 
     def __post_init__(self) -> None:
-        """Check that a pair is made of two submaps."""
+        """Check that a pair consists of two submaps."""
         check_pair(self.dataset, self.query_id, self.database_id)
 
     @property
@@ -399,7 +399,7 @@ class ViewState:
 
 
 def check_pair(dataset: Dataset, query_id: str | None, database_id: str | None) -> None:
-    """Check that a pair is made of two submaps; the one submap of a dataset may stand alone.
+    """Check that a pair consists of two submaps; the one submap of a dataset may stand alone.
 
     Raises:
         InputError: If it names one twice.
@@ -417,8 +417,8 @@ def open_dataset(
 ) -> ViewState:
     """Start on a dataset, at the pair most worth looking at.
 
-    The parameters are as they are given; ``used`` is what `resolve_parameters` made of them, if it
-    was asked already.
+    The parameters are as requested; ``used`` is what `resolve_parameters` returned for them, if it
+    was called already.
     """
     state = ViewState(
         dataset, *promising_pair(dataset), options=options or ViewOptions(), source=source
@@ -457,7 +457,7 @@ def with_pair(
 
 
 def with_method(state: ViewState, name: MethodName) -> ViewState:
-    """Choose the method; the parameters of the present one are kept until it is chosen again."""
+    """Choose the method; the parameters of the present one stay until it is chosen again."""
     if name == state.method:
         return state
     here = Tuning(state.asked, state.params, state.resolved)
@@ -490,12 +490,12 @@ def with_params(state: ViewState, params: PipelineParams) -> ViewState:
 
 
 def with_fitted(state: ViewState, used: PipelineParams) -> ViewState:
-    """Take what `resolve_parameters` made of the parameters that were asked for."""
+    """Set what `resolve_parameters` returned for the requested parameters."""
     return replace(state, params=used, resolved=True)
 
 
 def was_fitted(before: ViewState, after: ViewState) -> bool:
-    """Say whether a fit has made one state into the other, rather than a person."""
+    """Whether a fit has changed one state into the other, rather than a person."""
     return (
         after.resolved
         and not before.resolved
@@ -504,38 +504,38 @@ def was_fitted(before: ViewState, after: ViewState) -> bool:
 
 
 def registered(options: ViewOptions) -> ViewOptions:
-    """Show both submaps, the query laid onto the database."""
+    """Show both submaps, the query aligned with the database."""
     return replace(options, layout="registered", compare="both")
 
 
 def as_drawn(options: ViewOptions) -> ViewOptions:
-    """Give the options with those that their layout implies."""
+    """The options with those that their layout implies."""
     if options.layout != FROM_ABOVE:
         return options
     return replace(options, layer="gradient", surfaces=True, clouds=False)
 
 
 def same_pair(first: ViewState, second: ViewState) -> bool:
-    """Say whether two snapshots show the same query and database."""
+    """Whether two snapshots show the same query and database."""
     return first.dataset is second.dataset and (
         (first.query_id, first.database_id) == (second.query_id, second.database_id)
     )
 
 
 def same_verdict(first: ViewState, second: ViewState) -> bool:
-    """Say whether two snapshots ask for the verdict on the same pair in the same way."""
+    """Whether two snapshots need the verdict on the same pair in the same way."""
     return (
         same_pair(first, second) and first.method == second.method and first.given == second.given
     )
 
 
 def same_search(first: ViewState, second: ViewState) -> bool:
-    """Say whether two snapshots look for loop closures in the same dataset by the same method."""
+    """Whether two snapshots search the same dataset for loop closures by the same method."""
     return first.dataset is second.dataset and first.method == second.method
 
 
 def same_surfaces(first: ViewState, second: ViewState) -> bool:
-    """Say whether two snapshots show the same surfaces alike."""
+    """Whether two snapshots show the same surfaces alike."""
     return (
         same_pair(first, second)
         and first.method == second.method
@@ -546,9 +546,9 @@ def same_surfaces(first: ViewState, second: ViewState) -> bool:
 
 
 def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
-    """Name the submap ``step`` places further; after the last comes the first.
+    """The submap ``step`` places further, by ID; after the last comes the first.
 
-    One may be passed over, so that a pair is not made of one submap twice.
+    One may be passed over, so that a pair is not one submap twice.
     """
     ids = [submap.id for submap in dataset.submaps]
     place = ids.index(submap_id)
