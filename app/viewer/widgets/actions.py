@@ -72,7 +72,7 @@ def on_option_by(
 
 
 def one_of(options: Iterable[Option], label: str) -> Option:
-    """Give the option that a label names."""
+    """The option that a label names."""
     return next(option for option in options if option == label)
 
 

@@ -1,16 +1,16 @@
 """The bridge from the viewer's own HTML to Python: a click on a cell of a picture, for instance.
 
-viser shows HTML, but tells nothing of what happens in it. Its pages do run inline handlers, though,
+viser shows HTML, but does not report what happens in it. Its pages do run inline handlers, though,
 and send what is typed into a text box. So the bridge has a text box that nobody sees: a script
 writes a message into it, and viser brings that here like any other input, past the same checks.
-The page says a message again until it is answered, because all inputs of viser's panel share one
+The page sends a message again until it is answered, because all inputs of viser's panel share one
 throttle, and a slider that moves at that moment can push the message out.
 This depends on how viser builds its pages, so nothing else does it, and a browser test watches it.
 
 On the way back, viser runs scripts between two pictures, and draws the scene anew after each; a
 picture of a large scene takes a third of a second without a graphics card. Contents of its panels
-do not wait, and nothing is drawn for them. So what is said often, and of which only the newest
-counts, goes into unseen HTML, where the script finds it.
+do not wait, and nothing is drawn for them. So what is sent often, and of which only the newest
+counts, goes into hidden HTML, where the script reads it.
 """
 
 import json
@@ -37,14 +37,14 @@ Record = TypeVar("Record", bound=msgspec.Struct)
 Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
 AGAIN_MS = 500
-"""After which a message that has no answer is said again: the throttle may have left it out, or
-the panels are put away, and the box with them."""
+"""After which a message that has no answer is sent again: the throttle may have dropped it, or
+the panels are hidden, and the box with them."""
 NEWEST = ("heard", "marks", "choices", "lit")
-"""What pages are told without waiting for a picture; each replaces the one before."""
+"""What pages receive without waiting for a picture; each replaces the one before."""
 
 
 class Said(msgspec.Struct, forbid_unknown_fields=True):
-    """A message from a page. One that is said again keeps its number, and differs by its times."""
+    """A message from a page. One that is sent again keeps its number, and differs by its times."""
 
     number: int
     times: int
@@ -67,7 +67,7 @@ class Bridge:
     """
 
     def __init__(self, host: Host) -> None:
-        """Put the text box and the script into the current container, unseen."""
+        """Add the text box and the script to the current container, hidden."""
         self.folder = host.gui.add_folder("Bridge")
         with self.folder:
             self._box = host.gui.add_text("bridge", "")
@@ -80,13 +80,13 @@ class Bridge:
         on_choice_by(self._box, self.take)
 
     def hear(self, name: str, act: Act) -> None:
-        """Call something quick, which checks what it is given, whenever a page says a name."""
+        """Register a quick function, which checks its data, for messages of a name from pages."""
         self._acts[name] = act
 
     def on_message(
         self, name: str, kind: type[Record], act: Callable[[viser.ClientHandle, Record], None]
     ) -> None:
-        """Do the same with a record that is checked by its types; what is none is not heard."""
+        """Do the same with a record that is checked by its types; others are ignored."""
 
         def take(page: viser.ClientHandle, data: Data) -> None:
             try:
@@ -98,11 +98,11 @@ class Bridge:
         self.hear(name, take)
 
     def call(self, page: viser.ClientHandle, name: str, data: object) -> None:
-        """Have a page do, with data of JSON, what a script of ours has put into ``gpgrad.acts``.
+        """Call in a page, with data of JSON, a function that our script put into ``gpgrad.acts``.
 
-        A page that does not know the name yet does nothing. So a script that needs something says
-        so once it is there. The names in `NEWEST` do not wait for the scene; a page whose panels
-        are put away does not hear them.
+        A page without that name yet does nothing. So a script that needs something requests
+        it once it is there. The names in `NEWEST` do not wait for the scene; a page whose panels
+        are hidden does not receive them.
         """
         if name in self._told:
             uuid = state_of(self._told[name]).uuid
@@ -117,13 +117,13 @@ class Bridge:
         )
 
     def take(self, page: viser.ClientHandle, text: str) -> None:
-        """Take what a page wrote into the text box, and hand it on; answers the page."""
+        """Pass on what a page wrote into the text box; answers the page."""
         said = read_said(text)
         if said is None:
             return
         self.call(page, "heard", said.number)
         if said.number <= self._taken.get(page.client_id, 0):
-            return  # said again before the answer came
+            return  # sent again before the answer came
         self._taken[page.client_id] = said.number
         if said.name in self._acts:
             self._acts[said.name](page, said.data)
@@ -139,9 +139,9 @@ class Bridge:
 
 
 def _written(name: str, *numbered: object) -> str:
-    """Write what a page is told as HTML that the bridge's script reads: a number, and data.
+    """Write data as HTML that the bridge's script reads, with a number.
 
-    The number makes the same words another text, which the page would not take up otherwise.
+    The number makes the same data another text; the page would ignore the same text.
     """
     return f'<i data-told="{name}">{escape(json.dumps(numbered))}</i>'
 

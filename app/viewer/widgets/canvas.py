@@ -50,12 +50,12 @@ class CanvasMsg(Struct):
 
 
 class Canvases:
-    """What is known of the pages' canvases, and where their cameras were brought.
+    """The state of the pages' canvases, and where their cameras were moved.
 
     Attributes:
-        caption: What is written over all of them.
+        caption: Written over all of them.
         scales: What the colours mean in each subject of the scene; None if nothing is coloured.
-        legends: What else is told of a subject, as HTML that is safe.
+        legends: Further legends of a subject, as HTML that is safe.
         presents: Whether words of a demonstration stand in a band at the foot.
         note: What was done to the pair to show it so, in words.
     """
@@ -90,7 +90,7 @@ class Canvases:
         self._told.append(act)
 
     def of(self, page: viser.ClientHandle) -> Canvas:
-        """Give the canvas of a page, or a usual one while the page has not said."""
+        """The canvas of a page, or a usual one until the page reports its own."""
         canvas = self._known.get(page, UNKNOWN_CANVAS)
         if not self.presents:
             return canvas
@@ -98,25 +98,25 @@ class Canvases:
         return replace(canvas, bottom=BAND * min(canvas.width, canvas.height))
 
     def knows(self, page: viser.ClientHandle) -> bool:
-        """Say whether a page has said how large its canvas is."""
+        """Whether a page has reported how large its canvas is."""
         return page in self._known
 
     def is_dark(self, page: viser.ClientHandle) -> bool:
-        """Say whether a page is dark, or would be while it has not said."""
+        """Whether a page is dark; True before it has reported that."""
         return self._dark.get(page, True)
 
     def bring(self, page: viser.ClientHandle, camera: Camera) -> None:
-        """Bring a page's camera to a view of all that is shown, from which it may be refitted."""
+        """Move a page's camera to a view of all that is shown, from which it may be refitted."""
         self.expect(page, camera)
         set_view(page, camera)
 
     def expect(self, page: viser.ClientHandle, camera: Camera) -> None:
-        """Take a view of all that is shown to which something else brings a page's camera."""
+        """Store a view of all that is shown to which something else moves a page's camera."""
         # A page may report one of the last four views late.
         self._brought[page] = (camera, *self._brought.get(page, ()))[:4]
 
     def is_by_hand(self, page: viser.ClientHandle) -> bool:
-        """Say whether a page's camera is elsewhere than it was brought."""
+        """Whether a page's camera has left the views last set."""
         brought = self._brought.get(page)
         if not brought:
             return False
@@ -128,7 +128,7 @@ class Canvases:
         self._bridge.call(page, act, data)
 
     def measure(self, page: viser.ClientHandle) -> None:
-        """Take a page's new shape from its camera: with its panels put away, it says nothing else.
+        """Set a page's new shape from its camera: with its panels hidden, it reports nothing else.
 
         The camera counts other pixels than the page, so that only the shape is certain. The legend
         stays as high as it was.

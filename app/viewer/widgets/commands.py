@@ -84,7 +84,7 @@ class Commands:
         """Add a command, whose act runs in the server's event loop and must be quick.
 
         The help page has it under its group. ``heard`` is a key that a script of ours hears
-        instead, where its part of a panel is to be seen.
+        instead, where its part of a panel is visible.
         """
         if modifier is None and key in CAMERA_KEYS:
             raise ValueError(f"{label}: {key} flies the camera")
@@ -117,7 +117,7 @@ class Commands:
 
 
 def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle) -> None:
-    """Do what a button does; say so if it cannot be pressed now."""
+    """Press a button, or report that it cannot be pressed now."""
     if handle.disabled or not handle.visible:
         page.add_notification("Not possible now", label, auto_close_seconds=5.0)
         return
@@ -145,7 +145,7 @@ def help_html(commands: tuple[Command, ...]) -> str:
     groups: dict[str, list[tuple[str, str]]] = {"Picture": list(FLYING)}
     for command in commands:
         if command.group == BUTTONS:
-            continue  # they can be seen
+            continue  # they are visible
         groups.setdefault(command.group, []).append((command.keys, command.label))
     tables = "".join(
         f'<div style="break-inside:avoid;margin-bottom:.8em"><b>{escape(group)}</b>'

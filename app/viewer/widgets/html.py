@@ -72,7 +72,7 @@ def message_line(test_id: str, message: str, color: str) -> str:
 
 
 def box(test_id: str, content: str, style: str = "") -> str:
-    """Put HTML that is safe between the margins of a panel, where screen readers hear of it."""
+    """HTML that is safe between the margins of a panel, announced by screen readers."""
     return (
         f'<div data-testid="{test_id}" role="status" style="padding:.1em .75em;'
         f'overflow-wrap:anywhere;{style}">{content}</div>'
@@ -97,7 +97,7 @@ def uuid_of(
     | viser.GuiButtonGroupHandle
     | viser.GuiUploadButtonHandle,
 ) -> str:
-    """Give the name by which a page knows a widget."""
+    """The UUID by which a page refers to a widget."""
     return state_of(handle).uuid
 
 

@@ -131,7 +131,7 @@ def histogram_svg(
     Returns:
         A picture for a page, as wide as the colour bar that it stands upon.
     """
-    # Where nothing was seen a map is level: one bin of masked cells would dwarf all others.
+    # Without points a map is level: one bin of masked cells would dwarf all others.
     tallest = histogram.trusted if histogram.num_trusted else histogram.masked
     highest = max(float(tallest.max()), 1.0)
     table = lookup_table(scale.color_map).tolist()
@@ -161,7 +161,7 @@ def histogram_svg(
 
 
 def summary(histogram: Histogram) -> str:
-    """Say in words how many cells there are and how many of them are masked."""
+    """How many cells there are and how many of them are masked, in words."""
     total = histogram.num_trusted + histogram.num_masked
     if total == 0:
         return "No cell has a value."

@@ -84,7 +84,7 @@ class Strip:
     Attributes:
         edges: Values between which the same holds, ascending.
         accepted: Whether the pair is a loop closure, of each stretch between two edges.
-        hint: The same in words, and what was found at each value.
+        hint: The same in words, and the result at each value.
         stale: Whether it was so before the last change, and is being computed anew.
     """
 
@@ -102,11 +102,11 @@ class _Box:
 
 
 class Numbers:
-    """Takes what is typed into the number boxes of a session, and where its sliders come to rest.
+    """Receives what is typed into the number boxes of a session, and where sliders are released.
 
     Attributes:
-        refuse: Given why a number was not taken.
-        rested: Given the name of a widget, and the value at which it was let go; None for the last
+        refuse: Called with why a number was refused.
+        rested: Called with the name of a widget, and its value on release; None for the last
             that it has sent.
         chips: By the name of their slider.
         strips: Likewise.
@@ -135,13 +135,13 @@ class Numbers:
         act: Callable[[float], None],
         go_back: Callable[[], None] = lambda: None,
     ) -> None:
-        """Call something with each number that is typed into a box.
+        """Call a function with each number that is typed into a box.
 
         Args:
             handle: A number box, or a slider, which has one beside it.
             bounds: What may be typed. If they span decades, so does the slider.
-            act: Given the number; it shows what came of it. What it refuses with `InputError` is
-                told.
+            act: Called with the number; it shows the result. Its `InputError` is
+                reported.
             go_back: Called when the slider's chip is pressed.
         """
         name, _, _ = str(handle.label).partition(" [")
@@ -165,7 +165,7 @@ class Numbers:
         self._tell()
 
     def _tell(self) -> None:
-        """Tell the script of the sliders; nothing is sent if it knows all of it."""
+        """Send the sliders to the script; nothing is sent if it has all of it."""
         chips, strips = (
             {widget: asdict(shown) for widget, shown in each.items()}
             for each in (self.chips, self.strips)

@@ -37,7 +37,7 @@ class Panel(Generic[P]):
 
     Attributes:
         value: As the widgets show it.
-        used: The same with numbers for what is automatic, as far as they are known.
+        used: The same with numbers for what is automatic, as far as they are there.
     """
 
     def __init__(
@@ -61,18 +61,18 @@ class Panel(Generic[P]):
         Args:
             host: Whose GUI they join.
             value: What they start at.
-            on_change: Given the whole new value after each change by a user.
-            widgets: How fields are offered, by their paths, if their annotations do not say it;
+            on_change: Called with the new value after each change by a user.
+            widgets: How fields are offered, by their paths, if their annotations have none;
                 those of groups that are not among them lie in the folder.
             folder: Title of the folder.
             below: By the path of a field, what makes other widgets below its own; by the title of
                 the folder, what makes those that stand first in it.
-            implied: Gives a value with what it implies, which decides what unfolds.
-            numbers: Takes what is typed beside the sliders.
+            implied: Returns a value with what it implies, which decides what unfolds.
+            numbers: Receives what is typed beside the sliders.
             used: The value with numbers for what is automatic; the sliders show these.
             default: What sliders mark and chips lead back to; None makes no marks and no chips.
-            on_move: Given the value in place of ``on_change`` while a hand is on a slider.
-            on_error: Given the message if a value is refused.
+            on_move: Called in place of ``on_change`` while a slider is being dragged.
+            on_error: Called with the message if a value is refused.
         """
         self.value, self.used = value, value if used is None else used
         self._host, self._numbers, self._implied, self._default = host, numbers, implied, default
@@ -115,17 +115,17 @@ class Panel(Generic[P]):
         self._show(held, write=True)
 
     def reset(self) -> P:
-        """Go back to the default; returns it, ``on_change`` is not called."""
+        """Reset to the default; returns it, ``on_change`` is not called."""
         assert self._default is not None
         self.set(self._default)
         return self._default
 
     def adapt(self, default: P, hidden: Collection[str], automatic: Mapping[str, str]) -> None:
-        """Follow another method.
+        """Adapt to another method.
 
         Args:
-            default: What `reset` goes back to from now on.
-            hidden: Paths of the parameters that do nothing in it; all others are seen.
+            default: What `reset` restores from now on.
+            hidden: Paths of the parameters that do nothing in it; all others are shown.
             automatic: Labels of boxes for "automatic", by their paths; all others as usual.
         """
         self._default, self._hidden = default, hidden
@@ -135,12 +135,12 @@ class Panel(Generic[P]):
         self._show()
 
     def offer(self, path: str, choices: tuple[str, ...]) -> None:
-        """Give an option other choices, which may depend on the dataset."""
+        """Set the choices of an option, which may depend on the dataset."""
         self._rows[path].handle.options = choices
         self._write(self._rows[path])
 
     def uuid_of(self, path: str) -> str:
-        """Give the name by which a page knows the widget of a field."""
+        """The UUID by which a page refers to the widget of a field."""
         return uuid_of(self._rows[path].handle)
 
     def with_moved(self, value: P, widget: str, number: float) -> P:
@@ -218,7 +218,7 @@ class Panel(Generic[P]):
         assert isinstance(kind, type)
         current: Any = get_path(self.used, field.path)
         start = _slider_start(bounds) if current is None else current
-        # A value from a file may lie beyond the stretch that the slider is made for.
+        # A value from a file may lie beyond the range that the slider is meant for.
         low, high = min(bounds.slider_range[0], start), max(bounds.slider_range[1], start)
         hint, default = field.doc, None
         if self._default is not None:
@@ -274,7 +274,7 @@ class Panel(Generic[P]):
         """Show what there is; viser sends a page only what differs.
 
         Some rows may be under a hand: the ranges of these grow, but do not shrink. No value is
-        written there, and elsewhere if that is wanted.
+        written there, and elsewhere only with ``write``.
         """
         implied = self._implied(self.value)
         for path, row in self._rows.items():
@@ -300,7 +300,7 @@ class Panel(Generic[P]):
         )
 
     def _chip(self, row: _Row) -> Chip:
-        """Say where the value of a slider comes from."""
+        """Where the value of a slider comes from."""
         value, default, used = (
             get_path(params, row.field.path) for params in (self.value, self._default, self.used)
         )
@@ -313,7 +313,7 @@ class Panel(Generic[P]):
         return Chip("set ↺", f"Set by hand. Press to go back to {to}.", back=True)
 
     def _write(self, row: _Row) -> None:
-        """Bring a widget to its value, and its range to that."""
+        """Set a widget to its value, and its range to fit that."""
         value: Any = get_path(self.used, row.field.path)
         if value is not None:
             self._fit_range(row, grow=True)
@@ -334,7 +334,7 @@ class Panel(Generic[P]):
 
 
 def widgets_of(options: type) -> dict[str, Widget]:
-    """Give how each field of a dataclass is offered, by its name, where that says so."""
+    """The widget of each field of a dataclass, by name, where its annotation has one."""
     return {
         name: extra
         for name, hint in get_type_hints(options, include_extras=True).items()
@@ -344,7 +344,7 @@ def widgets_of(options: type) -> dict[str, Widget]:
 
 
 def _has_slider(bounds: Bounds | None) -> bool:
-    """Say whether a number has a slider, and is not typed: it has bounds, and none is skipped."""
+    """Whether a number has a slider, and is not typed: it has bounds, and none is skipped."""
     if bounds is None:
         return False
     low, high = bounds.slider_range
@@ -373,7 +373,7 @@ def _rounded(field: Field, raw: object) -> object:
 
 
 def _finest(bounds: Bounds, *, whole: bool) -> float:
-    """Give the step of a slider: one over decades shows as many digits at its lower end."""
+    """The step of a slider: one over decades shows as many digits at its lower end."""
     if whole or not bounds.spans_decades:
         return bounds.step
     return float(10.0 ** (math.floor(math.log10(bounds.slider_range[0])) + 1 - DIGITS))

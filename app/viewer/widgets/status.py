@@ -14,11 +14,11 @@ from app.viewer.widgets.html import BAD, BUSY, message_line
 WHOLE: dict[str, float] = {"": 1.0}
 """Work of a single phase, which needs no name."""
 TOLD_AFTER, LEAST_DONE = 2.0, 0.03
-"""From so many seconds and such a share of a phase on, the time left is told."""
+"""From so many seconds and such a share of a phase on, the time left is shown."""
 LATELY = 6.0
 """The pace is that of so many seconds, or of the second half of the time if that is longer."""
 STEADY = 2.0
-"""Nothing is told while the pace changes by more than this factor."""
+"""No time is shown while the pace changes by more than this factor."""
 
 
 class WorkBar:
@@ -65,7 +65,7 @@ class WorkBar:
             what: As a person calls it.
             fraction: Of the work that is done.
             phases: The fraction at which each phase ends, by its name, in order. Each has a pace of
-                its own, and the time left is told of the present one.
+                its own, and the time left is that of the present one.
         """
         self._set_running(True)
         self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
@@ -121,7 +121,7 @@ class TimeLeft:
     def at(
         self, fraction: float, now: float, phases: Mapping[str, float] = WHOLE
     ) -> tuple[str, float | None]:
-        """Give the phase and the time that is left of it [s]; None if that cannot be told.
+        """The phase and the time that is left of it [s]; None if that is too uncertain.
 
         Args:
             fraction: Of the whole work that is done.
