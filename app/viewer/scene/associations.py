@@ -15,7 +15,7 @@ from gpgrad_core.types import GradientMap
 
 ARC_PIECES = 12
 MOST_LINES = 24
-"""Of inliers, and of outliers, unless all are asked for."""
+"""Of inliers, and of outliers, unless all are requested."""
 ARC_RISE, CHOSEN_RISE = 0.12, 0.2
 """Height of an arc over its span: of any, and of the one that is pointed at."""
 
@@ -45,7 +45,7 @@ class Dots:
 def on_surface(
     gradient_map: GradientMap, positions: Float[Array, "n 2"], lift: float = 0.0
 ) -> Float[Array, "n 3"]:
-    """Give positions [m] the height of the nearest cell, plus a lift [m] out of the ground."""
+    """Positions [m] at the height of the nearest cell, plus a lift [m] out of the ground."""
     row, column, _ = gradient_map.grid.nearest_cells(positions)
     return np.column_stack([positions, gradient_map.elevation[row, column] + lift])
 
@@ -61,7 +61,7 @@ def match_lines(
 
     They are inliers or else outliers, and all of them or else those that `shown_matches` chooses.
     Their ends are so high above the ground [m]. An arc has `ARC_PIECES` straight pieces; those of
-    outliers have gaps between them, so that they are told apart without their colour.
+    outliers have gaps between them, so that they differ by more than their colour.
     """
     chosen = np.flatnonzero(shown_matches(result, inliers=inliers, everything=everything))
     if inliers:
@@ -74,8 +74,8 @@ def shown_matches(
 ) -> Bool[NDArray[np.bool_], "m"]:
     """Choose the associations, inliers or else outliers, whose lines are drawn.
 
-    Hundreds of lines hide the ground and each other. A few that are spread over it say as much of
-    the motion: at most `MOST_LINES`, far from each other in the query, unless all are asked for.
+    Hundreds of lines hide the ground and each other. A few that are spread over it show the
+    motion as well: at most `MOST_LINES`, far from each other in the query, unless ``everything``.
     """
     agree = result.registration.inliers
     kind = agree if inliers else ~agree
@@ -163,7 +163,7 @@ def keypoint_dots(
 
 
 def keypoint_kinds(result: PairResult, index: int) -> Int[NDArray[np.intp], "k"]:
-    """Give the place in `KINDS` of each keypoint of the query (0) or the database (1)."""
+    """The index in `KINDS` of each keypoint of the query (0) or the database (1)."""
     kinds = np.full(len(result.features[index]), KINDS.index("unmatched"))
     indices = result.matches.pairs[:, index]
     agree = result.registration.inliers
@@ -174,10 +174,10 @@ def keypoint_kinds(result: PairResult, index: int) -> Int[NDArray[np.intp], "k"]
 
 
 def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
-    """Give the mark of a kind: an inlier is bright in a dark rim, an outlier dark in a bright one.
+    """The mark of a kind: an inlier is bright in a dark rim, an outlier dark in a bright one.
 
-    Any other's is small. So they are told apart by light and by size; their colours only say it
-    once more. Marks of one size are shown together, see `MarksNode`.
+    Any other's is small. So they differ by light and by size; their colours only repeat
+    that. Marks of one size are shown together, see `MarksNode`.
     """
     match kind:
         case "inlier":
@@ -200,12 +200,12 @@ def shown_counts(result: PairResult, options: ViewOptions) -> dict[Kind, int]:
 
 
 def inlier_color(result: PairResult) -> Rgb:
-    """Give the colour of inliers: green, or yellow where there are too few to close the loop."""
+    """The colour of inliers: green, or yellow where there are too few to close the loop."""
     return INLIER if result.closure.accepted else REFUSED_INLIER
 
 
 def residuals(result: PairResult) -> Float[Array, "m"] | None:
-    """Give the residual of each association under the motion found [m]; None without a motion."""
+    """The residual of each association under the motion [m]; None without a motion."""
     motion = result.registration.T_database_query
     if motion is None:
         return None
@@ -214,16 +214,16 @@ def residuals(result: PairResult) -> Float[Array, "m"] | None:
 
 
 def describe_match(result: PairResult, index: int) -> tuple[Kind, float | None]:
-    """Say whether an association is an inlier, and give its residual [m], if there is a motion."""
+    """Whether an association is an inlier, and its residual [m], if there is a motion."""
     missed = residuals(result)
     kind: Kind = "inlier" if result.registration.inliers[index] else "outlier"
     return kind, None if missed is None else float(missed[index])
 
 
 def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
-    """Give the number, from 1, of the next (1) or previous (-1) association of the wanted kinds.
+    """The number, from 1, of the next (1) or previous (-1) association of the selected kinds.
 
-    It goes round; 0 is before the first, and is given if there is none. Where there is none of
+    It wraps around; 0 is before the first, and stands for none. Where there is none of
     these kinds, as of inliers where nothing fits, any will do.
     """
     agree = result.registration.inliers

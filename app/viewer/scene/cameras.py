@@ -88,7 +88,7 @@ def view_of(client: viser.ClientHandle) -> Camera:
 
 
 def set_view(client: viser.ClientHandle, camera: Camera) -> None:
-    """Bring a page to a view."""
+    """Set the view of a page."""
     with client.atomic():
         _aim(client.camera, camera)
         # A new position takes the point that is looked at along. If the page reports just then that
@@ -98,7 +98,7 @@ def set_view(client: viser.ClientHandle, camera: Camera) -> None:
 
 
 def aim_pages(server: viser.ViserServer, camera: Camera) -> None:
-    """Bring all pages, and one that is recorded, to a view."""
+    """Set the view of all pages, and of a recording."""
     broadcast(server, messages.SetCameraPositionMessage(camera.position))
     broadcast(server, messages.SetCameraLookAtMessage(camera.look_at))
 
@@ -111,7 +111,7 @@ def set_start(server: viser.ViserServer, camera: Camera) -> None:
 def _aim(view: Any, camera: Camera) -> None:
     """Set where a view looks from and to; viser's kinds of views have no common class."""
     view.far = max(FAR, FAR_DISTANCES * camera.distance)
-    # Depths are told apart by their ratio to what is nearest.
+    # The browser resolves depths by their ratio to the nearest.
     view.near = camera.distance / NEAR_SHARE if camera.parallel else NEAR
     view.fov = camera.field_of_view
     view.position = camera.position
@@ -154,7 +154,7 @@ def axes_on_screen(camera: Camera) -> Float[Array, "2 2"]:
 def place_on_screen(
     camera: Camera, canvas: Canvas, points: Float[Array, "n 3"]
 ) -> Float[Array, "n 2"]:
-    """Give where points of the scene [m] are seen on a canvas: pixels from its upper left corner.
+    """Project points of the scene [m] onto a canvas: pixels from its upper left corner.
 
     Points behind the camera are NaN.
     """
@@ -171,7 +171,7 @@ def place_on_screen(
 def line_of_sight(
     camera: Camera, canvas: Canvas, x: float, y: float
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Give the eye [m] and the direction of sight of a pixel, counted from the upper left."""
+    """The eye [m] and the direction of sight of a pixel, counted from the upper left."""
     forward, right, up = axes_of_view(camera.sight)
     offset = (x - canvas.width / 2) * right + (canvas.height / 2 - y) * up
     return np.array(camera.position, dtype=float), forward + offset / canvas.focal_length(camera)
@@ -190,7 +190,7 @@ class Animation:
 def play(animation: Animation, progress: Progress = silent) -> None:
     """Play once, in real time; a slow machine shows fewer pictures, not a slower motion.
 
-    Progress is told once a picture, and may raise Cancelled.
+    Progress is called once a picture, and may raise Cancelled.
     """
     start = time.monotonic()
     share = 0.0

@@ -24,7 +24,7 @@ OUTLIER = (186, 36, 58)
 """Far darker than inliers, so that eyes that see no red and no green tell them apart."""
 UNMATCHED = (120, 120, 120)
 INK, PAPER = (18, 20, 24), (250, 248, 244)
-"""Of marks: each has both, and so is seen on light and on dark ground."""
+"""Of marks: each has both, and so is visible on light and on dark ground."""
 CHOSEN = (0, 200, 230)
 PROBE = (230, 40, 200)
 BACK = (165, 165, 165)
@@ -45,11 +45,11 @@ _BLUE_WHITE_RED = np.array(
 )
 
 _PERCEPTUAL = {
-    # Level ground is light and steep ground dark: shaded relief is seen on the one and the other.
+    # Level ground is light and steep ground dark: shaded relief is visible on both.
     "ember": [(226, 219, 203), (240, 196, 132), (232, 132, 76), (190, 58, 74), (104, 26, 84)],
     # From hollows to heights; neither end is the black or the white of a page.
     "mesa": [(46, 52, 108), (30, 112, 138), (104, 164, 134), (224, 194, 124), (242, 228, 200)],
-    # From shadow to sand, and muted: of a map on which tracks and arcs are to be told.
+    # From shadow to sand, and muted: of a map from which tracks and arcs stand out.
     "regolith": [(81, 71, 93), (135, 100, 99), (181, 135, 107), (215, 175, 133), (243, 217, 179)],
 }
 """Colours from the low end to the high one, between which equal steps look equal."""
@@ -64,7 +64,7 @@ _ACES_OUT = np.array(
 
 @cache
 def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
-    """Give the 256 sRGB colours of a colour map, from its low end to its high end."""
+    """The 256 sRGB colours of a colour map, from its low end to its high end."""
     ramp = np.arange(256, dtype=np.uint8)
     of_opencv = getattr(cv2, f"COLORMAP_{name.upper()}", None)
     if of_opencv is not None:
@@ -108,12 +108,12 @@ def colorize(
 def hillshade(
     slope: Float[NDArray[np.floating], "n 2"], yaw: float = 0.0
 ) -> Float[NDArray[np.floating], "n"]:
-    """Say how bright ground of a given slope is, level ground being 1.
+    """The brightness of ground of a slope, level ground being 1.
 
     Args:
         slope: (dz/dx, dz/dy) [m/m] in the submap's frame.
         yaw: Of the submap's frame in the scene [rad]: the light stays with the scene, so that
-            two submaps laid onto each other are lit alike.
+            two submaps on top of each other are lit alike.
     """
     c, s = float(np.cos(yaw)), float(np.sin(yaw))
     along_x, along_y = slope[..., 0], slope[..., 1]
@@ -135,7 +135,7 @@ def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Color
 
 
 def tinted(colors: Colors, tint: Rgb) -> Colors:
-    """Give colours one hue; as light and as dark as they were, they mean the same."""
+    """Colours in one hue; as light and as dark as they were, they mean the same."""
     light = (colors @ np.array(BRIGHTNESS, dtype=np.float32))[:, None]
     darkest, hue = DARKEST * np.array(tint), 255.0 - PALEST * (255.0 - np.array(tint))
     return (darkest + light * (hue - darkest)).astype(np.uint8)
@@ -166,7 +166,7 @@ def css(color: Rgb) -> str:
 
 
 def for_lines(color: Rgb) -> NDArray[np.uint8]:
-    """Give the colour (3,) that lines of one colour need so that the browser shows the wanted one.
+    """The colour (3,) that lines of one colour need so that the browser shows ``color``.
 
     The browser decodes such a colour to linear light and then tone-maps it like a film (three's
     ACESFilmicToneMapping), which washes it out; this goes that way backwards. Point clouds
@@ -178,15 +178,15 @@ def for_lines(color: Rgb) -> NDArray[np.uint8]:
 
 
 def for_line_ends(colors: Colors) -> UInt8[NDArray[np.uint8], "n 2 3"]:
-    """Give what `for_lines` gives, for both ends of lines that have colours of their own.
+    """As `for_lines`, for both ends of lines that have colours of their own.
 
-    The browser takes the colours of such lines for linear light already.
+    The browser reads the colours of such lines as linear light already.
     """
     return np.round(255.0 * _light_of(colors)).astype(np.uint8)[:, None].repeat(2, axis=1)
 
 
 def _light_of(colors: UInt8[NDArray[np.uint8], "*n 3"]) -> Float[NDArray[np.float64], "*n 3"]:
-    """Give the linear light that the browser's tone mapping turns into an sRGB colour."""
+    """The linear light that the browser's tone mapping turns into an sRGB colour."""
     srgb = colors / 255.0
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     # ACES: three steps, colour mixing, a curve (a v² + b v + c) / (d v² + e v + f) with the

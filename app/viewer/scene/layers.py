@@ -52,7 +52,7 @@ RIM = 1.0
 NUM_BINS = 50
 """Of a histogram of what is shown."""
 OVERLAP = 1.6
-"""Side of a surfel in cells: seen aslant, neighbours must still touch."""
+"""Side of a surfel in cells: from aslant, neighbours must still touch."""
 HOLLOWS = ((1.0, 0.16), (4.0, 0.14))
 """How far about a cell ground is looked at [length-scales], and how much lighter a crest is there
 than level ground, and how much darker a hollow."""
@@ -60,7 +60,7 @@ EDGE = (0.5, 0.68, 0.84)
 """How bright the outermost cells of a surface are, from its edge inwards."""
 ORIGIN = np.zeros(3)
 PALE = 0.85
-"""How bright the white of no difference is, so that its relief is seen."""
+"""Brightness of the white of no difference, so that its relief is visible."""
 MAX_LIT = 2_000
 """Enough cells to tell by how ground is to be lit."""
 STEEP, MOST_RELIEF = 0.5, 6.0
@@ -77,7 +77,7 @@ class Scale:
     color_map: ColorMap
     low: float
     high: float
-    tints: tuple[Rgb, ...] = ()  # hues that the colours are given, one for each map
+    tints: tuple[Rgb, ...] = ()  # hues of the colours, one for each map
 
     @property
     def bars(self) -> UInt8[NDArray[np.uint8], "bars 256 3"]:
@@ -88,7 +88,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Relief:
-    """How ground is lit, so that its shape is seen on gentle and on steep slopes alike."""
+    """Light on the ground, which shows its shape on gentle and on steep slopes alike."""
 
     lean: tuple[float, float] = (0.0, 0.0)  # slope in the scene that is lit as level ground [m/m]
     times: float = 1.0  # how many times steeper the ground is lit than it is
@@ -107,7 +107,7 @@ def light_slopes(slopes: Float[NDArray[np.floating], "n 2"]) -> Relief:
 def explained(
     maps: tuple[GradientMap, GradientMap], T_database_query: SE2
 ) -> tuple[Values, Values]:
-    """Give one standard deviation of the height difference at the cells of both maps [m]."""
+    """One standard deviation of the height difference at the cells of both maps [m]."""
     (query, database), inverse = maps, T_database_query.inverse()
     stds = [a_map.std.astype(np.float32) for a_map in maps]
     at_query = resample(stds[1], database.grid, query.grid, T_database_query)
@@ -181,7 +181,7 @@ class Paint:
         """One range for all maps, so that the same colour means the same in each.
 
         The ends leave out the outermost values, where a single stone would take half of the
-        colours, and the rim of what was seen, whose slopes a slider of the mask lets in and out.
+        colours, and the rim of the ground, whose slopes a slider of the mask lets in and out.
         """
         if self.beyond:
             scale = self._whole.scale
@@ -244,7 +244,7 @@ class Paint:
 
 
 def _inner(trusted: Cells, cells: float) -> Cells:
-    """Leave out trusted cells that are near to others."""
+    """Remove trusted cells that are near to others."""
     side = 2 * max(1, round(cells)) + 1
     kernel = np.ones((side, side), np.uint8)
     edge = cv2.BORDER_CONSTANT
@@ -252,7 +252,7 @@ def _inner(trusted: Cells, cells: float) -> Cells:
 
 
 def _round_up(value: float) -> float:
-    """Give the next of the round numbers that ranges end at."""
+    """The next of the round numbers that ranges end at."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
     share = next(end for end in ROUND_ENDS if end * power >= value * (1 - 1e-9))
     return float(f"{share * power:.6g}")
@@ -262,7 +262,7 @@ _shapes: WeakKeyDictionary[GradientMap, Values] = WeakKeyDictionary()
 
 
 def shape_light(gradient_map: GradientMap) -> Values:
-    """Say how much lighter crests are than level ground, and how much darker hollows.
+    """How much lighter crests are than level ground, and how much darker hollows.
 
     Sky reaches a hollow less. Unlike a light from a side, this leaves no direction unseen.
     """
@@ -314,7 +314,7 @@ class Surfels:
 
 
 def stride_for(num_cells: int, max_surfels: int) -> int:
-    """Give the step in rows and columns that draws at most so many surfels."""
+    """The step in rows and columns that draws at most so many surfels."""
     return max(1, int(np.ceil(np.sqrt(num_cells / max_surfels))))
 
 
@@ -334,8 +334,8 @@ def make_surfels(
     """Turn a map of a paint into coloured squares, at the height of its elevation.
 
     Where the paint shows nothing, they are grey. Every so many rows and columns are drawn, and of
-    them the cells that are ``seen``, or all. A hue tells this map from another. What is not of the
-    picked values steps back. Positions are
+    them the cells that are ``seen``, or all. A hue marks this map. Values outside the picked ones
+    are faint. Positions are
     relative to a centre in the submap's frame [m].
     """
     (gradient_map, level), scale = paint.levelled[index], paint.scale
@@ -343,7 +343,7 @@ def make_surfels(
     cells = (slice(None, None, stride), slice(None, None, stride))
     elevation = gradient_map.elevation[cells]
     trusted = gradient_map.trusted(paint.max_std_ratio, stride)
-    # Where nothing was seen for kilometres numbers may overflow; the browser must not see them.
+    # Kilometres from all points numbers may overflow; the browser must not receive them.
     drawn = np.isfinite(elevation)
     if untrusted == "hidden":
         drawn &= trusted

@@ -17,7 +17,7 @@ LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
 
 
 class Node:
-    """One node of the scene, made when there is first something to show, and then changed in place.
+    """One node of the scene, created when there is first something to show, then changed in place.
 
     viser sends nothing for a property that is set to what it is.
     """
@@ -46,7 +46,7 @@ class Node:
     def show(self, made_from: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> None:
         """Show what ``make`` returns, as `put` does.
 
-        It is called only if something that the properties are made from has changed. The memo gives
+        It is called only if something that the properties depend on has changed. The memo returns
         the same object for the same key, so comparing costs nothing.
         """
         if made_from != self._made_from:
@@ -101,7 +101,7 @@ def label_node(host: Host, name: str, anchor: str, **look: Any) -> Node:
 
 
 STUB = np.array([0.8, 0.6, 0.0], dtype=np.float32)
-"""Direction of the pieces of line that are seen as discs."""
+"""Direction of the pieces of line that appear as discs."""
 STUB_LENGTH, CORE_LIFT = 0.01, 0.2
 """How long they are, and how high a core stands over its rim; the caller's lift is 1."""
 
@@ -110,7 +110,7 @@ class MarksNode:
     """Keypoints as marks of a constant size on the screen.
 
     A point of a cloud grows as one comes nearer. The ends of a line that is measured in pixels do
-    not, and they are round: a piece of line far shorter than it is wide is seen as a disc.
+    not, and they are round: a piece of line far shorter than it is wide appears as a disc.
     """
 
     def __init__(self, host: Host, name: str) -> None:
@@ -138,7 +138,7 @@ class MarksNode:
         size: float,
         scale: float = 1.0,
     ) -> None:
-        """Show what ``make`` returns, unless it is made from the same as before.
+        """Show what ``make`` returns, unless it depends on the same as before.
 
         Inliers have a colour; the size is a length that is small beside the submap, but not nothing
         [m]; the scale is that of the marks beside `mark_of`.

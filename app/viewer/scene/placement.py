@@ -33,7 +33,7 @@ SMALL, SMALL_MARKS = 480.0, 0.6
 """On canvases narrower than this [pixels] keypoints are marked by so much smaller, because their
 marks would hide the ground."""
 MARGINS = (24.0, 76.0, 24.0, 88.0)
-"""Left, top, right and bottom of a canvas that are kept free for names and scale [pixels]."""
+"""Left, top, right and bottom of a canvas that stay free for names and scale [pixels]."""
 MOST_MARGIN = 0.1
 """Of a canvas that any of these margins may take."""
 
@@ -97,7 +97,7 @@ class Box:
         return cls(tuple(low), tuple(high))
 
     def seen_from(self, origin: Float[Array, "3"]) -> "Box":
-        """Give the box in a frame whose origin lies at another place of this one [m]."""
+        """The box in a frame whose origin lies at another place of this one [m]."""
         (x0, y0, z0), (x1, y1, z1) = self.low - origin, self.high - origin
         return Box((x0, y0, z0), (x1, y1, z1))
 
@@ -163,7 +163,7 @@ class Canvas:
 
     @property
     def free_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Give (left, right) and (bottom, top) of what is to be filled; the edges are -1 and 1."""
+        """(left, right) and (bottom, top) of the area to fill; the edges are -1 and 1."""
         width = self.width - self.left - self.right
         height = self.height - self.top - self.bottom
         sizes = width, height, width, height
@@ -212,7 +212,7 @@ def _common_heights(
     T_database_query: SE2,
     max_std_ratio: float,
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n"], float]:
-    """Give places in the query [m], the database's height above its own there, and their step."""
+    """Places in the query [m], the database's height above its own there, and their step."""
     stride = max(1, int(np.sqrt(query_map.grid.num_cells / MAX_OVERLAP_SAMPLES)))
     trusted = query_map.trusted(max_std_ratio, stride).ravel()
     x, y = np.meshgrid(query_map.grid.x[::stride], query_map.grid.y[::stride])
@@ -230,11 +230,11 @@ def level_of(
     registration: Registration,
     max_std_ratio: float,
 ) -> HeightFrame:
-    """Measure how the query stands level in the database's frame, for display.
+    """Estimate how the query stands level in the database's frame, for display.
 
-    Each submap has its own zero of height, and knows gravity only so well. The plane through the
-    height differences on common ground is found robustly, by Cauchy's weights. The tilt has the
-    prior that the alignment of the registration gives it, so that little ground tilts little.
+    Each submap has its own zero of height, and measures gravity only so well. The plane through
+    the height differences on common ground is fitted robustly, by Cauchy's weights. The tilt has
+    the prior of the alignment in the registration, so that little ground tilts little.
     Without a motion each has its own level.
     """
     motion = registration.T_database_query
@@ -263,7 +263,7 @@ def level_of(
 def z_offset_of(
     registration: Registration, maps: tuple[GradientMap, GradientMap], max_std_ratio: float
 ) -> float:
-    """Give the height to add to the query so that it lies on the database [m]; 0 without a motion.
+    """The height to add to the query so that it lies on the database [m]; 0 without a motion.
 
     The registration's own, where the alignment held; else, as where there is little in common,
     the median difference.
@@ -336,7 +336,7 @@ def place(
 def beside(
     other: Float[Array, "n 3"], here: Float[Array, "k 3"], behind: bool
 ) -> tuple[float, float]:
-    """Give the way along (x, y) that leads what has other corners behind what has these, or left.
+    """The shift along (x, y) that moves corners ``other`` behind those ``here``, or left of them.
 
     Both have room between them [m].
     """
@@ -374,7 +374,7 @@ def glide(
 
 
 def all_corners_of(placed: tuple[tuple[Box, Placement], ...]) -> Float[Array, "n 3"]:
-    """Give the corners of boxes in the scene [m]."""
+    """The corners of boxes in the scene [m]."""
     return np.concatenate([placement.apply(box.all_corners) for box, placement in placed])
 
 
@@ -389,10 +389,10 @@ def frame_camera(
 
     A corner c has its picture at (c - p)·r / (c - p)·f, for a camera at p that looks along f with r
     to its right. That it lies within the free part bounds p·r from both sides by numbers that are
-    linear in p·f, and the same holds for what is up. So the nearest p is found without trying.
+    linear in p·f, and the same holds for what is up. So the nearest p follows in closed form.
 
     Args:
-        corners: Of the hull of all that is to be seen, in the scene [m].
+        corners: Of the hull of all that is to be shown, in the scene [m].
         canvas: The page's.
         forward: Direction of sight, not straight down; None looks along +y, and down as steeply as
             fills the canvas best.
@@ -433,7 +433,7 @@ def frame_camera(
 def axes_of_view(
     forward: Float[Array, "3"],
 ) -> tuple[Float[Array, "3"], Float[Array, "3"], Float[Array, "3"]]:
-    """Give the unit vectors (forward, right, up) of a camera that is held upright.
+    """The unit vectors (forward, right, up) of a camera that is held upright.
 
     Args:
         forward: Direction of sight, of any length but zero. Straight down, +y is up.

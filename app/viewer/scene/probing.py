@@ -97,7 +97,7 @@ def _box(gradient_map: GradientMap, drawn: Drawn) -> tuple[Float[Array, "3"], Fl
 def _within(
     ray: Ray, box: tuple[Float[Array, "3"], Float[Array, "3"]]
 ) -> tuple[float, float] | None:
-    """Give the stretch of a line, from its eye on, that lies in a box: the slab method."""
+    """The stretch of a line, from its eye on, that lies in a box: the slab method."""
     with np.errstate(divide="ignore", invalid="ignore"):
         to_low, to_high = ((corner - ray.origin) / ray.direction for corner in box)
     # A line along a slab's face gives 0/0: it is inside that slab.
@@ -151,7 +151,7 @@ def read(gradient_map: GradientMap, x: float, y: float, max_std_ratio: float) ->
 
 
 def places_of(probe: Probe, T_database_query: SE2 | None) -> dict[Role, NDArray[np.float64]]:
-    """Give a place in the frame of each submap [m]; without a motion, in its own only."""
+    """A place in the frame of each submap [m]; without a motion, in its own only."""
     here = np.array([probe.x, probe.y])
     places: dict[Role, NDArray[np.float64]] = {probe.role: here}
     if T_database_query is not None and probe.role == "query":
@@ -167,7 +167,7 @@ def read_both(
     T_database_query: SE2 | None,
     max_std_ratio: float,
 ) -> tuple[Reading | None, Reading | None]:
-    """Read a place in (query, database) under the motion found.
+    """Read a place in (query, database) under the motion.
 
     None stands for what is not read: without a place, without a motion, beyond the rim.
     """
@@ -190,7 +190,7 @@ def label_text(reading: Reading) -> str:
 
 
 def significant_digits(std: float) -> int:
-    """Give the number of decimals of a height: two digits of its deviation, 2 to 5 in all.
+    """The number of decimals of a height: two digits of its deviation, 2 to 5 in all.
 
     >>> significant_digits(0.0123), significant_digits(0.5)
     (3, 2)

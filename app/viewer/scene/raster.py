@@ -1,4 +1,4 @@
-"""Draws a scene without a browser: surfaces as squares, then marks and lines, all as wide as asked.
+"""Draws a scene without a browser: surfaces as squares, then marks and lines of chosen widths.
 
 A pixel shows the nearest square over it. Squares of one size are splat by a trick: each pixel gets
 the rank of the nearest centre in it, and the largest rank around is what a square of that size
@@ -18,7 +18,7 @@ from app.viewer.session.state import Camera
 from gpgrad_core.arrays import NDArray
 
 SHARPER = 2
-"""Times as fine as asked squares are drawn, so that their edges are smooth."""
+"""Squares are drawn so much finer than requested: their edges are smooth."""
 LARGEST_FINE = 2000
 """Pixels along a side of a picture that is drawn so."""
 BITS = 4
@@ -82,7 +82,7 @@ def rasterise(
 def _splat(
     clouds: tuple[Cloud, ...], camera: Camera, canvas: Canvas
 ) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """Give which square each pixel shows, counted from the farthest, or -1; and their order."""
+    """Which square each pixel shows, counted from the farthest, or -1; and their order."""
     rows, columns = int(canvas.height), int(canvas.width)
     forward = camera.sight / max(camera.distance, 1e-9)
     depths = [(cloud.points - np.array(camera.position)) @ forward for cloud in clouds]

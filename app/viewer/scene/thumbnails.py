@@ -44,8 +44,8 @@ def thumbnail(
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
     """Draw the query's gradient on the left and the database's on the right.
 
-    With a motion the query is laid beside the database, in a window over both; without one each
-    has its own. What the variance mask rejects stays transparent.
+    With a motion both show one window, in the database's frame; without one each has
+    its own. What the variance mask rejects stays transparent.
     """
     if T_database_query is None:
         left = _sample(query, _window(query.grid.corners, SIDE), max_std_ratio)
