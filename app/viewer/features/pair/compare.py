@@ -1,4 +1,4 @@
-"""A beside B: the pair at a setting that was kept, and as the sliders say now; what differs.
+"""A beside B: the pair at a stored setting, and as the sliders are now; what differs.
 
 A is drawn once, in a scene of its own, and moved beside B. Each picture of B is compared with it.
 """
@@ -45,7 +45,7 @@ REFERENCE = "/reference"
 MOST_CELLS = 20_000
 """Of a map that are looked at for ground that is gained or lost: marks need no more."""
 MARK = 0.55
-"""Size of their marks beside the way from one to the next: the ground is to be seen between."""
+"""Size of their marks beside the way from one to the next: the ground is visible between."""
 PIN, BACK_BY = 0.05, 0.12
 """Height of a pin and the way from the ground to the heading, as shares of width and depth."""
 REACH = 0.5
@@ -81,7 +81,7 @@ class Inliers:
 
 
 def compare_inliers(before: PairResult, after: PairResult, reach: float) -> Inliers:
-    """Tell the inliers that A and B share from those that one of them has alone.
+    """Split the inliers into those that A and B share and those of one alone.
 
     Other parameters move keypoints by a little. So two are the same if each is the nearest to the
     other, by both ends together, and no end is farther away than a reach [m].
@@ -157,9 +157,9 @@ def figures(before: Side, after: Side) -> Iterator[Row]:
 
 
 def motion_in_words(before: PairResult, after: PairResult) -> str:
-    """Say how far B moves the middle of the query from where A lays it, and how much it turns it.
+    """How far B moves the middle of the query from its place in A, and how much it turns it.
 
-    It is empty if one of them has found no motion.
+    It is empty if one of them has no motion.
     """
     first, second = (result.registration.T_database_query for result in (before, after))
     if first is None or second is None:
@@ -209,7 +209,7 @@ def table_html(rows: Iterable[Row], inliers: Inliers, lost: float, gained: float
     )
 
 
-# What is seen of it.
+# What is shown of it.
 
 
 class OneSided:
@@ -262,7 +262,7 @@ class CompareTool(Feature):
         self._of_a = OneSided(host, REFERENCE, OUTLIER, "diamond", dashed=True)
         self._of_b = OneSided(host, PAIR, INLIER, "square", dashed=False)
         self._line = lines_node(host, f"{PAIR}/divide", BACK, 2.0)
-        # What A was last found to be, and for which pair and setting; and how it is drawn.
+        # The last result for A, and for which pair and setting; and how it is drawn.
         self._found: tuple[tuple[object, ...], ViewState, PairResult] | None = None
         self._drawn: tuple[object, ...] = ()
         self._lane: Lane[ViewState, tuple[ViewState, PairResult]] = Lane(
@@ -279,7 +279,7 @@ class CompareTool(Feature):
             self._desk.tell_again()
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Find A once B is seen, if it is of another pair or another setting."""
+        """Compute A once B is shown, if its pair or setting is another."""
         if isinstance(news, PairShown) and self._scene.is_split:
             subject = _subject_of(news.state)
             if subject[-1] is not None and (self._found is None or self._found[0] != subject):
@@ -366,5 +366,5 @@ class CompareTool(Feature):
 
 
 def _subject_of(view: ViewState) -> tuple[object, ...]:
-    """Name what A is found for."""
+    """What A is computed for."""
     return view.dataset, view.query_id, view.database_id, view.reference

@@ -69,7 +69,7 @@ class AssociationNodes:
             part.hide()
 
     def show_keypoints(self, picture: Picture, result: PairResult, scale: float) -> None:
-        """Mark the keypoints that the swipe leaves to be seen, at a scale of the usual marks."""
+        """Mark the keypoints that the swipe shows, at a scale of the usual marks."""
         state, size = picture.state, mark_size(picture)
         kinds = shown_kinds(state.options)
         for index, (node, submap) in enumerate(zip(self._nodes, state.pair, strict=True)):
@@ -153,21 +153,21 @@ class AssociationNodes:
 
 
 def mark_size(picture: Picture) -> float:
-    """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
+    """The size of a keypoint's mark [m]: small beside the submap, but visible."""
     return float(np.clip(0.006 * picture.boxes[1].size[:2].max(), 0.02, 5.0))
 
 
 def _mark(
     point: Node, reading: Reading, placement: Placement, size: float
 ) -> Float[NDArray[np.float32], "3"]:
-    """Put a point where a place is read; gives that place of the scene [m]."""
+    """Draw a point where a place is read; returns that place of the scene [m]."""
     spot = np.array([[reading.x, reading.y, reading.elevation + size / 2]])
     there = placement.apply(spot).astype(np.float32)
     point.put(points=there, point_size=PROBE_SIZE * size)
     return there[0]
 
 
-BAR: Rgb = (120, 120, 120)  # seen on a light and on a dark page
+BAR: Rgb = (120, 120, 120)  # visible on a light and on a dark page
 
 
 class Annotations:
@@ -230,7 +230,7 @@ class RulerNodes:
 
 
 PERIOD = 0.8
-"""How long each is seen [s]."""
+"""How long each is shown [s]."""
 
 
 class Blinker:

@@ -53,12 +53,12 @@ BEYOND = 2.0
 class Picture:
     """The surfaces of (query, database) in the scene; of one submap alone, its map twice."""
 
-    state: ViewState  # what is asked for, with what its layout implies
+    state: ViewState  # the requested one, with what its layout implies
     result: PairResult | None  # None in a preview and without a pair
-    registration: Registration | None  # in a preview the one last found; None if none is known
+    registration: Registration | None  # in a preview the last one; None if there is none
     paint: Paint
     placements: tuple[Placement, Placement]
-    levels: tuple[HeightFrame, HeightFrame]  # the frame in which each map's values are told
+    levels: tuple[HeightFrame, HeightFrame]  # the frame of each map's values
     num_surfels: int = 0  # cells that are drawn
     num_points: int = 0  # points of the clouds that are drawn
 
@@ -72,19 +72,19 @@ class Picture:
 
     @property
     def motion(self) -> SE2 | None:
-        """``T_database_query``; None if none is known."""
+        """``T_database_query``; None if there is none."""
         return None if self.registration is None else self.registration.T_database_query
 
     @property
     def is_registered(self) -> bool:
-        """Whether the query is laid onto the database."""
+        """Whether the query is drawn on the database."""
         return self.motion is not None and self.state.options.layout == "registered"
 
     @property
     def is_tinted(self) -> bool:
         """Whether the query's colours are blue and the database's orange.
 
-        Laid onto each other they would look the same; where both are compared the colours say how.
+        On top of each other they would look the same; where both are compared the colours show how.
         """
         options = self.state.options
         laid_together = self.state.is_pair and options.layout == "registered"
@@ -132,14 +132,14 @@ class Picture:
 
     @property
     def roles(self) -> tuple[Role, ...]:
-        """Whose submap is seen at all; blinking shows both in turn."""
+        """Whose submap is visible at all; blinking shows both in turn."""
         compare = self.state.options.compare
         if self.is_registered and compare in ROLES:
             return (compare,)
         return ROLES if self.state.is_pair else ROLES[:1]
 
     def seen(self, index: int) -> Cells | None:
-        """Say which cells of the query (0) or the database (1) the swipe leaves; None for all."""
+        """The cells of the query (0) or the database (1) that the swipe shows; None for all."""
         if self.swipe_at is None:
             return None
         grid, placement = self.maps[index].grid, self.placements[index]
@@ -148,7 +148,7 @@ class Picture:
         return right if index else ~right
 
     def sees(self, index: int, points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
-        """Say which points of a submap's frame the swipe leaves to be seen."""
+        """Which points of a submap's frame the swipe shows."""
         if self.swipe_at is None:
             return np.ones(len(points), dtype=bool)
         right = self.placements[index].apply(points)[:, 0] > self.swipe_at
@@ -179,9 +179,9 @@ class Picture:
         return read_both(self.maps, probe, self.motion, self.ratio)
 
     def spots(self, probe: Probe) -> tuple[Float[NDArray[np.float64], "3"], ...]:
-        """Give where a place is seen in the scene [m], and the same place of the other submap.
+        """Position of a place in the scene [m], and of the same place of the other submap.
 
-        Either is left out where no ground is known.
+        Either is left out where its map has no ground.
         """
         masked_too = self.state.options.untrusted != "hidden"
         both = [
@@ -196,9 +196,9 @@ class Picture:
     def keypoint_spots(
         self, index: int, positions: Float[Array, "k 2"]
     ) -> Float[NDArray[np.float64], "k 3"]:
-        """Give where keypoints of the query (0) or the database (1) are in the scene [m].
+        """The positions of keypoints of the query (0) or the database (1) in the scene [m].
 
-        Those that are not seen are NaN.
+        Those that are not visible are NaN.
         """
         points = on_surface(self.maps[index], positions)
         spots = self.placements[index].apply(points)
@@ -300,12 +300,12 @@ def place_pair(
 
 
 def corners_of(placed: tuple[tuple[Box, Placement], ...]) -> Float[NDArray[np.float64], "k 3"]:
-    """Give the corners of the outlines of boxes in the scene [m]."""
+    """The corners of the outlines of boxes in the scene [m]."""
     return np.concatenate([placement.apply(box.corners) for box, placement in placed])
 
 
 def hull_of(submap: Submap, boxed: bool) -> Float[NDArray[np.float64], "k 3"]:
-    """Give the corners of what is seen of a submap [m]: of its box, or of the ground in it."""
+    """The corners of what is shown of a submap [m]: of its box, or of the ground in it."""
     box = Box.of(submap)
     if boxed:
         return box.all_corners
@@ -321,9 +321,9 @@ def boxes_of(state: ViewState) -> tuple[Box, Box]:
 
 
 def comparison_in_words(picture: Picture) -> str:
-    """Say in a few words how two maps compare; empty if they are not compared, or share no cell.
+    """How two maps compare, in a few words; empty if they are not compared, or share no cell.
 
-    How the heights agree is told as the card tells it, if it does.
+    The heights' agreement reads as on the card, if it is there.
     """
     paint, registration = picture.paint, picture.registration
     common = paint.fields[-1][np.isfinite(paint.fields[-1])]
@@ -350,7 +350,7 @@ def draw_histogram(picture: Picture, scale: Scale) -> tuple[str, str]:
 
 
 def _thresholds(paint: Paint) -> tuple[tuple[float, Rgb | None], ...]:
-    """Say at which values of the layer the mask stands, and for which submap."""
+    """The values of the layer at which the mask stands, and for which submap."""
     ratio = paint.max_std_ratio
     if paint.layer == "mask":
         return ((ratio, None),)

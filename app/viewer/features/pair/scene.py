@@ -105,7 +105,7 @@ class PairScene:
         self._associations = AssociationNodes(host, root, self._nodes)
         self._ruler = RulerNodes(host, root)
         self._blinker = Blinker(host, self._nodes)
-        # The registration last found, and the state whose pair it is of.
+        # The last registration, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
         self._held: Paint | None = None  # whose range stays while a hand is on a slider
         self._let_go: Paint | None = None  # whose range did until then
@@ -121,7 +121,7 @@ class PairScene:
         self._root.visible = visible
 
     def move(self, x: float, y: float) -> None:
-        """Put all of it somewhere else in the scene [m]."""
+        """Move all of it to another place in the scene [m]."""
         self._root.position = x, y, 0.0
 
     def show(self, state: ViewState, result: PairResult) -> Picture:
@@ -130,10 +130,10 @@ class PairScene:
         return self._draw(state, result.maps, result)
 
     def preview(self, state: ViewState, maps: tuple[GradientMap, ...]) -> Picture:
-        """Show the surfaces of (query, database) before it is known how they register.
+        """Show the surfaces of (query, database) before their registration.
 
-        The motion last found for the pair goes on; so do its keypoints and lines, for a moment.
-        Of another pair they go out of sight. The one submap there is has its surface only.
+        The pair's last motion still applies; its keypoints and lines stay for a moment.
+        Those of another pair are hidden. The one submap there is has its surface only.
         """
         return self._draw(state, maps, None)
 
@@ -196,7 +196,7 @@ class PairScene:
             time.sleep(1 / FRAMES_A_SECOND)
 
     def _held_ends(self, state: ViewState) -> tuple[float, float] | None:
-        """Give the ends of the range that is held, if it is of the same pair and layer."""
+        """The ends of the held range, if it is of the same pair and layer."""
         like = self.like if self.is_split else None
         return self._ends_of(self._held if like is None else like.paint, state)
 
@@ -207,10 +207,10 @@ class PairScene:
         return (held.scale.low, held.scale.high) if same_pair(shown.state, state) else None
 
     def gliding(self, state: ViewState, result: PairResult) -> Callable[[float], None] | None:
-        """Give what moves the query from beside the database to where it registers.
+        """A mover of the query from beside the database to where it registers.
 
-        It takes the share of the way in [0, 1], and does nothing once another picture has been
-        shown. Where there is no motion it is None.
+        Its argument is the share of the way in [0, 1]; it does nothing once another picture has
+        been shown. Without a motion it is None.
         """
         registration, ratio = result.registration, state.params.features.max_std_ratio
         motion = registration.T_database_query
@@ -224,7 +224,7 @@ class PairScene:
         return lambda share: put(*glide(box, starts, ends, share))
 
     def placing(self, result: PairResult) -> Callable[[Placement, Placement], None]:
-        """Give what puts query and database anywhere, without drawing them anew.
+        """A mover of query and database, without drawing them anew.
 
         It does nothing once another picture than that of the result has been shown.
         """
@@ -246,9 +246,9 @@ class PairScene:
     def fading(
         self, before: tuple[NDArray[np.uint8], ...], result: PairResult
     ) -> Callable[[float], None]:
-        """Give what fades the colours of both surfaces into those that they had before.
+        """A function that fades both surfaces into the colours that they had before.
 
-        It takes the share of the way in [0, 1]. It leaves a surface as it is that has other cells
+        Its argument is the share of the way in [0, 1]. It skips a surface that has other cells
         by now, and does nothing once another picture than that of the result has been shown.
         """
         now = self.colors
@@ -274,20 +274,20 @@ class PairScene:
             return tuple(node.surface.made.get("colors", empty) for node in self._nodes)
 
     def colors_of(self, state: ViewState, result: PairResult) -> tuple[NDArray[np.uint8], ...]:
-        """Give the colours that both surfaces would have in another state."""
+        """The colours that both surfaces would have in another state."""
         known = result.registration
         picture = compose(state, result.maps, known, self._memo, result=result, tall=self.tall)
         return tuple(surfels_of(picture, index).colors for index in range(2))
 
     def knows_motion(self, state: ViewState) -> bool:
-        """Say whether the pair of a state is the one last shown with its registration.
+        """Whether the pair of a state is the one last shown with its registration.
 
         One submap alone needs none.
         """
         return not state.is_pair or self._known_registration(state) is not None
 
     def turns(self, state: ViewState) -> bool:
-        """Say whether the query stands in the database's frame, side by side."""
+        """Whether the query stands in the database's frame, side by side."""
         is_raw = state.options.layout != "registered" and state.options.raw_frames
         registration = self._known_registration(state)
         return not is_raw and registration is not None and registration.T_database_query is not None
@@ -350,7 +350,7 @@ class PairScene:
         layout: Layout | None = None,
         parallel: bool = False,
     ) -> Camera:
-        """Give the view in which both submaps fill a canvas, in the state's layout or another.
+        """The view in which both submaps fill a canvas, in the state's layout or another.
 
         Without a direction of sight it is one that fills the canvas, and suits the layout.
         """
@@ -371,7 +371,7 @@ class PairScene:
         return frame_camera(seen, canvas, forward=forward, parallel=parallel)
 
     def stacks(self, layout: Layout) -> bool:
-        """Say whether two pictures of the pair fill the canvas better one behind the other."""
+        """Whether two pictures of the pair fill the canvas better one behind the other."""
         return (layout == "registered") == self.tall
 
     def _show_surface(self, node: SubmapNode, picture: Picture, index: int) -> None:

@@ -46,7 +46,7 @@ class TimedMemo(Memo):
         self.seconds: dict[str, float] = {}
 
     def holds(self, function: Callable[..., object], *arguments: object) -> bool:
-        """Say whether calling with these arguments would compute nothing."""
+        """Whether calling with these arguments would compute nothing."""
         return self._memo.holds(function, *arguments)
 
     def __call__(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
@@ -83,14 +83,14 @@ LATE = 0.15
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
 WORTH_TELLING = 0.0005
-"""Stages that took less are left out [s]: what they gave was known before."""
+"""Stages that took less are left out [s]: their results were there before."""
 HEIGHT = 3.2
 """Of the place [lines of text]: two small lines and the bar. What is longer can be scrolled."""
 BESIDE = "116px"
 """Room for the buttons that stand beside it."""
 NOT_TAKEN = "Not taken"
 READ_WITHIN = 8.0
-"""What was refused is told so long, beside the state of the picture, whatever comes of it [s]."""
+"""What was refused is shown so long, beside the state of the picture, whatever comes of it [s]."""
 BAR_STEP = 0.01
 """The bar is drawn anew once it has grown by this share of the whole."""
 OUTDATED = "The picture is out of date"
@@ -192,7 +192,7 @@ class PictureStatus:
         self._memo.add("drawing", time.perf_counter() - start)
 
     def preview(self, seconds: float, *, coarse: bool) -> None:
-        """Say after how long [s] surfaces are shown, and that the rest is being computed."""
+        """Show after how long [s] surfaces are shown, and that the rest is being computed."""
         self._word_due = False
         self._late_due = True
         self._tell_if_late()
@@ -201,12 +201,12 @@ class PictureStatus:
         self._say_busy(f"{now} · {then} …", _took(seconds))
 
     def fitting(self, seconds: float) -> None:
-        """Say after how long [s] the picture is shown, and that automatic numbers are fitted."""
+        """Show after how long [s] the picture is shown, and that automatic numbers are fitted."""
         self._stop()
         self._say_busy("Fitting automatic numbers …", _took(seconds))
 
     def finished(self, seconds: float, details: str, *, newer_waits: bool) -> None:
-        """Say that the picture is shown, with counts of what is drawn; a newer one may wait.
+        """Report that the picture is shown, with counts of what is drawn; a newer one may wait.
 
         How long it and its stages took [s] is shown where the pointer rests on it.
         """
@@ -220,11 +220,11 @@ class PictureStatus:
         self._end("Cancelled: move a slider to compute again.", BAD, OUTDATED)
 
     def failed(self, message: str) -> None:
-        """Say what went wrong; the last good picture stays."""
+        """Show what went wrong; the last good picture stays."""
         self._end(message, BAD, OUTDATED)
 
     def refused(self, message: str) -> None:
-        """Say why a value was not taken; the picture is what it was, and so is the rest."""
+        """Show why a value was refused; the picture is what it was, and so is the rest."""
         with self._lock:
             text, title = self._said[0], self._said[2]
             if title == NOT_TAKEN:

@@ -62,13 +62,13 @@ class Shown:
     """What the worker has shown."""
 
     picture: Picture
-    # whether it is all there; or the rest is being made, and its surfaces are coarse or whole; or
+    # whether it is all there; or the rest is under way, and its surfaces are coarse or whole; or
     # numbers of before stand in for automatic ones, which are being fitted
     progress: Literal["coarse", "surfaces", "fit due", "all"] = "all"
 
 
 def say_of(verdicts: Verdicts | None, state: ViewState) -> Context | None:
-    """Give what the other pairs say of the pair shown; None if they were judged otherwise."""
+    """The context of the pair shown; None if the pairs were judged otherwise."""
     registered_by = METHODS[state.method].registered_by
     if (
         verdicts is None
@@ -136,10 +136,10 @@ class PairTab(Feature):
         desk.bridge.on_message("cells", CellsMsg, lambda _, at: self._view.pick(at.low, at.high))
         desk.bridge.on_message("swipe", SwipeMsg, self._swipe)
         self._verdict.decide(desk.now.decisions)
-        self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._painted: ViewState | None = None  # whose full surfaces are shown
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
         self._stood_in: ViewState | None = None  # shown with those of before
-        self._preview_shown: Picture | None = None  # while the rest of it is being made
+        self._preview_shown: Picture | None = None  # while the rest is being computed
         self._start_camera(opened)
         self._runner: Lane[ViewState, Shown] = Lane(
             desk.jobs,
@@ -171,7 +171,7 @@ class PairTab(Feature):
             self._verdict.decide(state.decisions)
 
     def _on_opened(self, opened: Opened) -> None:
-        """Tell what is open, and bring the cameras to it."""
+        """Show what is open, and move the cameras to it."""
         self._summary.show(opened.dataset)
         self._start_camera(opened)
         saved = None if opened.saved is None else opened.saved.camera
@@ -179,7 +179,7 @@ class PairTab(Feature):
             self._move_cameras(saved)
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Say that what is seen has not been judged."""
+        """Show that the placement is not judged."""
         if isinstance(news, PairMoved):
             self._verdict.set_moved(news.by_hand)
 
@@ -213,12 +213,12 @@ class PairTab(Feature):
     # What the worker does.
 
     def preview(self, state: ViewState, progress: Progress) -> Shown | None:
-        """Show the surfaces, coarse if need be: what is found on them takes longer."""
+        """Show the surfaces, coarse if need be: what follows from them takes longer."""
         self._status.begin()
         if self._painted is not None and same_surfaces(self._painted, state):
             return None
         if state.options.layout == "registered" and not self.scene.knows_motion(state):
-            return None  # it would jump as soon as the motion is known
+            return None  # it would jump as soon as the motion is there
         memo, told = self._status.memo, self._status.reported(progress)
         # Until they are fitted, the numbers of before stand in.
         submaps = state.pair if state.is_pair else (state.query,)
@@ -322,7 +322,7 @@ class PairTab(Feature):
         self._outdate(lambda: self._status.failed(message_of(error)))
 
     def _outdate(self, tell: Callable[[], None]) -> None:
-        """Say that what is seen is not what is set: on the card, in the scene, and why."""
+        """Mark the picture as out of date: on the card, in the scene, and why."""
         self._mark_outdated()
         self._verdict.outdate("out of date")
         self._tell(PairOutdated())

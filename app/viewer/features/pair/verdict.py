@@ -71,7 +71,7 @@ SAYS_SOMETHING = 0.5
 NEAR = 0.15
 """A score is near its threshold within this share of it, and far from it beyond twice or half."""
 JUST_SEEN = 0.05
-"""A smaller change of the score is not seen in its digits."""
+"""A smaller change of the score is not visible in its digits."""
 
 Stance: TypeAlias = Literal["for", "against", "neither"]
 MARKS: dict[Stance, str] = {
@@ -99,7 +99,7 @@ class Finding:
 
 
 def whole_sentence(text: str) -> str:
-    """Give a sentence its capital letter and its full stop.
+    """A sentence with its capital letter and its full stop.
 
     >>> whole_sentence("they share 92 m²")
     'They share 92 m².'
@@ -184,9 +184,9 @@ class VerdictCard:
 def headline_of(
     result: PairResult, *, with_score: bool = False, decided: bool | None = None
 ) -> str:
-    """Give the verdict in a word or two, and the score if there is one and it is wanted.
+    """The verdict in a word or two, and the score if there is one, on ``with_score``.
 
-    What a person decided comes before what the ground says.
+    A person's decision overrides the verdict of the ground.
     """
     if decided is not None:
         return ACCEPTED if decided else REFUSED
@@ -266,7 +266,7 @@ def card_html(
 
 
 def _look(*, dim: bool, grey: bool) -> str:
-    """Give the look of what is not the present verdict: its marks and bars have no colour."""
+    """The style of what is not the present verdict: its marks and bars have no colour."""
     return "filter:grayscale(1);" * (dim or grey) + "opacity:.4" * dim
 
 
@@ -311,7 +311,7 @@ def _bar(state: ViewState, result: PairResult) -> str:
 
 
 def where(score: float, lowest: float) -> str:
-    """Say how a score stands to its threshold.
+    """How a score compares to its threshold.
 
     >>> where(9.5, 3.0), where(3.2, 3.0), where(2.9, 3.0), where(1.0, 3.0), where(4.0, 3.0)
     ('far above', 'just above', 'just below', 'far below', 'above')
@@ -323,9 +323,9 @@ def where(score: float, lowest: float) -> str:
 
 
 def in_words(state: ViewState, result: PairResult, *, decided: bool | None = None) -> str:
-    """Say what decided, with the rule if it compares numbers; other figures stand beside it.
+    """The verdict's reason, with the rule if it compares numbers; other figures are beside it.
 
-    Where a person decided, that is what the ground alone would say.
+    Where a person decided, that is the verdict by the ground alone.
     """
     if decided is not None:
         return f"By the ground alone: {headline_of(result)}. {in_words(state, result)}"
@@ -359,7 +359,7 @@ def _why_accepted(state: ViewState, result: PairResult) -> str:
 
 
 def sentences_of(state: ViewState, result: PairResult) -> list[Finding]:
-    """Say what was compared: heights, keypoints, ground; and the score, or the paper's h and n."""
+    """What was compared: heights, keypoints, ground; and the score, or the paper's h and n."""
     registration, needed = result.registration, state.params.closure
     least = f"; at least {needed.min_inliers} are needed" if needed.min_inliers else ""
     words = keypoints_in_words(registration.num_inliers) + least
@@ -438,7 +438,7 @@ def _side_of_overlap(registration: Registration) -> Stance:
 
 
 def _weigh(value: float, limit: float | None) -> tuple[Stance | None, str, str]:
-    """Say for what the paper's h speaks, and write it and the most that is allowed, if any."""
+    """What the paper's h speaks for, its digits, and those of the most allowed, if any."""
     most, has = told_apart(inf if limit is None else limit, value, least_form=".3g")
     if limit is None:
         return None, has, ""
@@ -455,7 +455,7 @@ def _figure_of_others(context: Context, least: float) -> Finding:
 
 
 def says_alone(state: ViewState, result: PairResult) -> str:
-    """Say that the other pairs were not asked, and how to ask; empty if they were, or never are."""
+    """A note that the other pairs were not compared, and how to compare them; empty if needless."""
     could_ask = len(state.dataset.submaps) > 2 and state.params.closure.others != "off"
     if not could_ask or result.registration.agreement is None or result.closure.context is not None:
         return ""
@@ -516,7 +516,7 @@ def _table(rows: list[Finding]) -> str:
 
 
 def framed(test_id: str, content: str, height: float) -> str:
-    """Give a part its margin, its size of letters and its height [lines of text]."""
+    """A part with its margin, its font size and its height [lines of text]."""
     return (
         f'<div data-testid="{test_id}" style="box-sizing:border-box;height:{height}em;'
         'overflow:hidden;padding:.2em .75em .3em"><div style="font-size:13px;line-height:1.35">'
