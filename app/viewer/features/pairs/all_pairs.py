@@ -1,4 +1,4 @@
-"""The tab All pairs: registers the pairs when asked, and shows what the thresholds make of them."""
+"""The tab All pairs: registers the pairs on request, and shows the verdicts by the thresholds."""
 
 import threading
 import time
@@ -98,7 +98,7 @@ class ThresholdMsg(msgspec.Struct):
 
 
 class AllPairsTab(Feature):
-    """Registers all pairs when asked, and judges them anew as the thresholds move."""
+    """Registers all pairs on request, and judges them anew as the thresholds move."""
 
     def __init__(self, desk: Desk, world: WorldTab, modes: ModeSwitch, commands: Commands) -> None:
         self._desk, self._world, self._modes = desk, world, modes
@@ -177,7 +177,7 @@ class AllPairsTab(Feature):
             with self._lock:
                 if now.dataset is not was.dataset:
                     self._begun, self._ended = {}, {}
-                self._shown = self._ended.get(now.method)  # each method's results are kept apart
+                self._shown = self._ended.get(now.method)  # each method has its own results
                 self._judged, self._cells, self._requested = None, {}, ()
             self._comparer.cancel()
             self._show({})
@@ -189,7 +189,7 @@ class AllPairsTab(Feature):
         self._submit()
 
     def _turn_board(self) -> None:
-        """Put the matrix beside the picture, or back; without any pairs they are compared."""
+        """Show or hide the matrix beside the picture; without any pairs they are compared."""
         self._desk.update(lambda now: replace(now, board=not now.board))
         if self._desk.now.board and self._shown is None and self._desk.state.is_pair:
             self.compare_pairs()
@@ -215,7 +215,7 @@ class AllPairsTab(Feature):
         self._comparer.cancel()
 
     def detection(self, state: ViewState) -> Detect:
-        """Give what finds a state's closures among the candidates that the panel has.
+        """What detects a state's closures among the candidates of the panel.
 
         What was compared of them already is not compared again.
         """
@@ -232,7 +232,7 @@ class AllPairsTab(Feature):
         return PairsRun(state, CANDIDATES[self._candidates.value])
 
     def _offer(self) -> None:
-        """Say what a press of the button does: begin, go on, or begin anew."""
+        """Label the button by what a press does: begin, go on, or begin anew."""
         state = self._desk.state
         run, counts, same = self._begun.get(state.method), "", False
         if run is not None and 0 < run.num_left < run.num_pairs:
@@ -245,7 +245,7 @@ class AllPairsTab(Feature):
         )
 
     def _watch(self, fraction: float | None, message: str) -> None:
-        """Tell how far the run is, and show what it has so far."""
+        """Report how far the run is, and show what it has so far."""
         if fraction is None:
             self._offer()
         self._desk.update_pairs(lambda pairs: pairs._replace(fraction=fraction, message=message))
@@ -372,7 +372,7 @@ class AllPairsTab(Feature):
         canvases.show(page, "lit", {"drawn": drawn, "cells": cells})
 
     def _pair_at(self, msg: CellMsg) -> PairOfIds | None:
-        """Give the best pair of a cell, also by its mirror."""
+        """The best pair of a cell, also by its mirror."""
         matrix = self._cells.get(msg.name)
         if matrix is None:
             return None
@@ -381,7 +381,7 @@ class AllPairsTab(Feature):
         return None if cell is None else (cell.query, cell.database)
 
     def _set_threshold(self, _page: viser.ClientHandle, msg: ThresholdMsg) -> None:
-        """Take the least score to where a hand has drawn it."""
+        """Set the least score to where it was dragged."""
         params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
         field = next(field for field in parameters_of(PipelineParams) if field.path == path)
         try:
@@ -483,7 +483,7 @@ def _curve_caption(judged: JudgedPairs, check: TruthCheck) -> str:
 
 
 def run_html(run: PairsRun) -> str:
-    """Write what a run was asked for, which opens on a click: what moves later is not part of it.
+    """Write the parameters of a run, which open on a click: what moves later is not part of it.
 
     Thresholds are left out, because pairs are judged by the present ones.
     """

@@ -51,9 +51,9 @@ class BestPairNote:
     def say(
         self, text: str, choices: tuple[tuple[str, str, str], ...] = (), *, watch: int | None = None
     ) -> None:
-        """Say something, with buttons below it: label, query and database that each shows.
+        """Show a text, with buttons below it: label, query and database that each shows.
 
-        ``watch`` is a number to tell when somebody acts on the page; None watches nothing.
+        ``watch`` is a number to send when somebody acts on the page; None watches nothing.
         """
         buttons = [
             button(label, send("show-pair", query=query, database=database), APART)
@@ -76,9 +76,9 @@ class BestPairNote:
 MOST_PAIRS = 8
 """So many of the likeliest pairs are scored at most."""
 ENOUGH = 1.2
-"""Once a loop closure is known, and so much time has passed, the best one is shown [s]."""
+"""Once there is a loop closure, and so much time has passed, the best one is shown [s]."""
 EXTRACTING = 0.8
-"""Share of the progress that the keypoints of all submaps take, where no poses are known."""
+"""Share of the progress that the keypoints of all submaps take, where there are no poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class BestPair(Feature):
                 self.note.clear()
             if not same_search(was, now):
                 self._offer_best()
-        if state.subject != before.subject == "pair":  # nothing is said of it beside the world
+        if state.subject != before.subject == "pair":  # the note does not concern the world
             self._stop()
             self.note.clear()
         elif state.subject != before.subject and self._shown is not None:
@@ -185,10 +185,10 @@ class BestPair(Feature):
         if self._button is not None:
             self._button.disabled = self._best_judged() is None
 
-    # What is asked for.
+    # Requests.
 
     def show_best(self) -> None:
-        """Show the best loop closure that is known, or search for one."""
+        """Show the best loop closure so far, or search for one."""
         best = self._best_judged()
         if best is not None:
             self._modes.tune(*best.pair)
@@ -220,7 +220,7 @@ class BestPair(Feature):
             self._desk.host.flush()
 
     def _end(self, job: _Search) -> bool:
-        """Take a search for ended; says whether it had not ended before."""
+        """Mark a search as ended; returns whether it had not ended before."""
         with self._lock:
             ends = self._running is job
             if ends:
@@ -228,7 +228,7 @@ class BestPair(Feature):
             return ends
 
     def _tell(self, job: _Search, text: str) -> None:
-        """Say how far a search is, unless it has ended."""
+        """Show how far a search is, unless it has ended."""
         if job is self._running:
             why = "" if job.asked else "This pair is no loop closure. "
             self.note.say(why + text, watch=job.number)

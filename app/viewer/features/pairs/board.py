@@ -34,7 +34,7 @@ BAR = 170.0
 
 
 def board_html(content: str | None) -> str:
-    """Put the board over the canvas of a page, or take it away; it may have to wait for pairs."""
+    """Show the board over the canvas of a page, or hide it; it may have to wait for pairs."""
     if content is None:
         return inline_script("window.gpgradMatrix?.show?.(null)")
     close = (

@@ -48,7 +48,7 @@ MOST_GROUPS = 60
 """Rows of a matrix: a page draws a few thousand cells well, and no more. More submaps are gathered
 in groups of equal size, and a cell is a block of pairs."""
 BREAK = 0.4, 0.62
-"""Shares of the colour map up to the threshold, and from there on: it is seen as a step."""
+"""Shares of the colour map up to the threshold, and from there on: it shows as a step."""
 WORST_FIRST = (NO_OVERLAP, WRONG_MOTION, MISSED, RIGHT, ACCEPTED, REFUSED)
 """A cell of several pairs has the colour of its worst."""
 
@@ -71,7 +71,7 @@ class PairCells:
     rows: tuple[tuple[str, ...], ...]
     columns: tuple[tuple[str, ...], ...]
     cells: Mapping[tuple[int, int], Cell]  # by (row, column); none where no pair was compared
-    # highest true overlap of pairs, mirrored to `cells`; NaN where it is not known
+    # highest true overlap of pairs, mirrored to `cells`; NaN where there is none
     overlaps: Float[Array, "rows columns"]
 
     @property
@@ -108,7 +108,7 @@ KEYS = 'tabindex="0" onkeydown="gpgradMatrix.key(this,event)" '
 
 
 def gather_all(judged: JudgedPairs, most: int = MOST_GROUPS) -> PairCells:
-    """Put all pairs of a dataset into a limited number of rows and columns."""
+    """Group all pairs of a dataset into a limited number of rows and columns."""
     ids = [submap.id for submap in judged.run.dataset.submaps]
     size = max(1, -(-len(ids) // most))
     groups = tuple(tuple(ids[k : k + size]) for k in range(0, len(ids), size))
@@ -130,7 +130,7 @@ def gather_block(judged: JudgedPairs, whole: PairCells, pair: tuple[str, str]) -
 def gather(
     judged: JudgedPairs, rows: Sequence[tuple[str, ...]], columns: Sequence[tuple[str, ...]]
 ) -> PairCells:
-    """Put the pairs of some submaps into cells."""
+    """Group the pairs of some submaps into cells."""
     row_of = {name: k for k, group in enumerate(rows) for name in group}
     column_of = {name: k for k, group in enumerate(columns) for name in group}
     gathered: dict[tuple[int, int], list[LoopClosure]] = {}
@@ -209,7 +209,7 @@ def matrix_html(
 def score_shares(
     scores: Float[Array, "*n"], high: float, threshold: float
 ) -> Float[NDArray[np.float64], "*n"]:
-    """Give where scores lie in their colour map, which has a step at the threshold."""
+    """The place of scores in their colour map, which has a step at the threshold."""
     if not 0.0 < threshold < high:
         return np.clip(scores / high, 0.0, 1.0)
     below = BREAK[0] * scores / threshold
@@ -222,7 +222,7 @@ def cell_pixels(
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
     """Colour every cell: scores in viridis from 0, overlaps in greys from 0 (dark) to 1.
 
-    What is not known stays transparent.
+    Cells without a value stay transparent.
     """
     scores = np.full(pairs.overlaps.shape, np.nan)
     for at, cell in pairs.cells.items():
@@ -241,7 +241,7 @@ def cell_pixels(
 
 
 def words_of(pairs: PairCells, row: int, column: int) -> str:
-    """Say what a cell holds, also by its mirror; empty where nothing was compared."""
+    """The content of a cell, also by its mirror; empty where nothing was compared."""
     mirrored = pairs.rows == pairs.columns
     if mirrored and (row, column) not in pairs.cells:
         row, column = column, row
@@ -291,7 +291,7 @@ def _marks(name: str, pairs: PairCells, left: float, side: float) -> str:
         if cell.outcome in OUTCOME_COLORS:
             x, y = left + (column + 0.5) * side, 1.0 + (row + 0.5) * side
             paths.setdefault(cell.outcome, []).append(_shape(cell.outcome, x, y, 0.3 * side))
-    # A dark rim, or green would not be seen on the greens of the scores.
+    # A dark rim, or green would be lost on the greens of the scores.
     thick = max(0.9, min(0.12 * side, 2.0), 0.05 * side)
     return "".join(
         f'<defs><path id="mark-{name}-{k}" d="{"".join(path)}"/></defs>'
@@ -384,7 +384,7 @@ def hover_line(words: str, test_id: str = "") -> str:
 
 
 def cut_name(name: str, longest: int) -> str:
-    """Leave out what is too long of an id."""
+    """Shorten an ID that is too long."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 

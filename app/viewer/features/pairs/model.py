@@ -74,7 +74,7 @@ TRUE, APART, UNKNOWN = "true", "apart", "unknown"
 
 @dataclass(eq=False)
 class PairsRun:
-    """All pairs with the parameters of the moment at which they were asked for."""
+    """All pairs with the parameters of the moment of their request."""
 
     state: ViewState  # of the session at that moment
     candidates: Candidates = "automatic"
@@ -100,14 +100,14 @@ class PairsRun:
         return 0 if self.has_ended else self.num_pairs - len(self.registered)
 
     def is_of(self, state: ViewState) -> bool:
-        """Say whether a state would give the same registrations; most thresholds do not matter."""
+        """Whether a state would give the same registrations; most thresholds do not matter."""
         registered_by = METHODS[self.state.method].registered_by
         return same_search(self.state, state) and (
             registered_by(self.state.given) == registered_by(state.given)
         )
 
     def registers_as(self, other: "PairsRun") -> bool:
-        """Say whether another run registers the same pairs with the same parameters."""
+        """Whether another run registers the same pairs with the same parameters."""
         return self.candidates == other.candidates and self.is_of(other.state)
 
     def so_far(self) -> "PairsRun":
@@ -127,7 +127,7 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Non
         progress: Called from this thread; may raise Cancelled.
 
     Raises:
-        InputError: If a submap's map cannot be made, or an image cannot be read.
+        InputError: If a submap's map fails, or an image cannot be read.
     """
     if run.truth is None and len(run.dataset.true_poses) >= 2:
         run.truth = measure_pairs(run.dataset, part(progress, 0.0, TRUTH_SHARE))
@@ -135,7 +135,7 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Non
 
 
 def detect(run: PairsRun, memo: Memo, progress: Progress = silent) -> DetectionResult:
-    """Give all pairs of a run as its thresholds judge them; `compare_pairs` without the truth."""
+    """All pairs of a run as its thresholds judge them; `compare_pairs` without the truth."""
     _ = run.state.pair  # refuses one submap alone
     if run.table is None:
         _register(run, memo, progress)
@@ -192,18 +192,18 @@ class TruthCheck:
 
 @dataclass(frozen=True, eq=False)
 class JudgedPairs:
-    """The verdicts on the pairs of a run at some thresholds, and what the truth says of them.
+    """The verdicts on the pairs of a run at some thresholds, compared with the truth.
 
-    An outcome is `RIGHT`, `WRONG_MOTION` or `NO_OVERLAP` if the pair was accepted and the truth is
-    known, `MISSED` if it was wrongly refused, and else `ACCEPTED` or `REFUSED`.
+    An outcome is `RIGHT`, `WRONG_MOTION` or `NO_OVERLAP` if the pair was accepted and there is a
+    truth, `MISSED` if it was wrongly refused, and else `ACCEPTED` or `REFUSED`.
     """
 
     run: PairsRun
     rule: Rule  # when a pair is true
     verdicts: Verdicts
-    # `TRUE` or `APART`; not of pairs whose truth is not known, or that the rule leaves out
+    # `TRUE` or `APART`; not of pairs without a truth, or that the rule leaves out
     truths: Mapping[PairOfIds, str]
-    check: TruthCheck | None  # None where no truth is known
+    check: TruthCheck | None  # None without a truth
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:

@@ -25,9 +25,9 @@ class PairList:
         hint: str,
         on_choose: Callable[[PairOfIds | None], None],
     ) -> None:
-        """Make the widgets in the current container; the first entry of the list is ``none``.
+        """Add the widgets to the current container; the first entry of the list is ``none``.
 
-        ``on_choose`` is given the (query, database) that a user chose or stepped to, or None.
+        ``on_choose`` receives the (query, database) that a user chose or stepped to, or None.
         """
         self._none = none
         self._on_choose = on_choose

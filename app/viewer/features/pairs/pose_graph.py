@@ -75,7 +75,7 @@ class _Solved:
 
 
 class PoseGraphTab(Feature):
-    """Gathers the accepted closures, optimises when asked, and tells the world."""
+    """Gathers the accepted closures, optimises on request, and notifies the world."""
 
     def __init__(
         self, desk: Desk, world: WorldTab, comparison: AllPairsTab, modes: ModeSwitch

@@ -69,7 +69,7 @@ def count_scores(judged: JudgedPairs) -> ScoreHistogram:
 
 
 def scores_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
-    """Draw the histogram, with the curve below where the truth is known.
+    """Draw the histogram, with the curve below where there is a truth.
 
     It does not depend on the threshold: `threshold_html` moves that.
     """
@@ -109,7 +109,7 @@ def scores_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
 
 
 def threshold_html(value: float) -> str:
-    """Bring the threshold of every page to a score, unless a hand holds it there."""
+    """Move the threshold of every page to a score, unless a hand holds it there."""
     return inline_script(fill_page_file("threshold.js", VALUE=value))
 
 
@@ -156,7 +156,7 @@ def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
 
 
 def _key(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
-    """Say what the colours of the bars mean, and by which rule."""
+    """What the colours of the bars mean, and by which rule."""
     lead, unknown = "", "not judged"
     if judged.check is not None:
         unknown = "left out"

@@ -65,7 +65,7 @@ class ListedPair:
     """One pair of the list."""
 
     closure: LoopClosure  # as it is decided
-    outcome: str  # what the truth says of the thresholds' verdict; empty if it is not known
+    outcome: str  # the thresholds' verdict by the truth; empty without a truth
     by_hand: bool | None  # what a person decided; None if nobody did
     note: str
     borderline: bool  # whether its score is close to the threshold
@@ -152,7 +152,7 @@ def next_undecided(entries: tuple[ListedPair, ...], after: PairOfIds) -> PairOfI
 
 @dataclass(frozen=True, eq=False)
 class _Listing:
-    """The list of a state, which says what pair is shown and how pictures are made."""
+    """The list of a state, which has the pair shown and the settings of pictures."""
 
     state: ViewState
     entries: tuple[ListedPair, ...]  # all pairs
@@ -180,7 +180,7 @@ class TriageTab(Feature):
     """Lists the pairs worth a look, and takes what a person decides about the pair shown."""
 
     def __init__(self, desk: Desk, commands: Commands, folder: viser.GuiFolderHandle) -> None:
-        """Make the panel in the current container, a folder that is seen once there are pairs."""
+        """Add the panel to the current container, a folder that is visible once there are pairs."""
         self._desk, self._folder = desk, folder
         self._first: int | None = None  # place of the first row; None goes to the pair shown
         self._noted: PairOfIds | None = None  # whose note the box shows
@@ -317,7 +317,7 @@ class TriageTab(Feature):
             self._turn(int(msg.first))
 
     def _turn(self, first: int | None) -> None:
-        """Go to another part of the list; None goes to the pair shown."""
+        """Show another part of the list; None: that of the pair shown."""
         self._first = first
         self._submit()
 
@@ -368,7 +368,7 @@ class TriageTab(Feature):
         self._note.value = ""
 
     def _show(self, listing: _Listing) -> None:
-        """Show a page of the list, and have the pictures made that it lacks."""
+        """Show a page of the list, and request the pictures that it lacks."""
         if not same_search(listing.state, self._desk.state):
             return
         self._entries = entries = listing.entries
@@ -394,7 +394,7 @@ class TriageTab(Feature):
             self._painter.submit(listing)
 
     def _tell(self, message: str, *, bad: bool = False) -> None:
-        """Say what came of a wish; an empty message says nothing."""
+        """Show the result of a request; an empty one hides it."""
         self.message.content = message_line("triage-message", message, BAD if bad else GOOD)
 
 
@@ -402,7 +402,7 @@ _MadeFrom: TypeAlias = tuple[Submap, Submap, SE2 | None, MethodName, MapParams, 
 
 
 def _made_from(state: ViewState, entry: ListedPair) -> _MadeFrom:
-    """Give what the picture of a pair depends on."""
+    """What the picture of a pair depends on."""
     query, database = map(state.dataset.submap, entry.pair)
     motion = entry.closure.registration.T_database_query
     ratio = state.params.features.max_std_ratio
