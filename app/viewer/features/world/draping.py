@@ -1,4 +1,4 @@
-"""Ways laid over the ground: tracks and outlines that no hill hides, and that move with submaps."""
+"""Ways over the ground: tracks and outlines that no hill hides, and that move with submaps."""
 
 from dataclasses import dataclass
 
@@ -27,14 +27,14 @@ class Drape:
     num_places: int
 
     def over(self, places: Float[Array, "n 3"]) -> Float[Array, "m 3"]:
-        """Give the way through the same places, wherever they have moved since [m]."""
+        """The way through the same places, wherever they have moved since [m]."""
         return _along(places, self.at) + self.rise[:, None] * np.array([0.0, 0.0, 1.0])
 
 
 def drape(places: Float[Array, "n 3"], terrain: MergedTerrain | None, margin: float) -> Drape:
-    """Lay the way through places of the world over its ground, with a margin above it [m].
+    """Drape the way through places of the world over its ground, with a margin above it [m].
 
-    Where no ground was seen, it goes on as far above or below the places as beside it.
+    Where there is no ground, it goes on as far above or below the places as beside it.
     """
     if terrain is None or len(places) < 2:
         return Drape(np.arange(float(len(places))), np.full(len(places), margin), len(places))

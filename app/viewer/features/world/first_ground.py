@@ -49,7 +49,7 @@ class FirstGround:
         self._pace = Pace()
 
     def add(self, submap: Submap) -> None:
-        """Take one more submap, and show all so far if that is due."""
+        """Add one more submap, and show all so far if that is due."""
         self._submaps.append(submap)
         self._surfaces[submap.id] = self._memo(first_surface, submap)
         if not self._pace.is_due:

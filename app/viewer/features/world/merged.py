@@ -1,4 +1,4 @@
-"""One terrain of all submaps: their maps, laid onto one lattice of the world and averaged.
+"""One terrain of all submaps: their maps, resampled on one lattice of the world and averaged.
 
 Where several submaps see a cell of ground, its height is their mean with the weights of Kalman,
 the inverse variances, which fall to zero where the mask of a map ends. So there is one height
@@ -27,7 +27,7 @@ MAX_CELLS = 200_000
 FADE = 2.0
 """Width over which the weight of a map rises from its rim, in its length-scales."""
 SEEN_FROM = 0.99999
-"""A cell of the world is seen if all four cells round it are trusted, but for rounding."""
+"""A cell of the world counts if all four cells round it are trusted, but for rounding."""
 LAYER_OF: dict[WorldColor, Layer] = {
     "elevation": "elevation",
     "gradient": "gradient",
@@ -64,14 +64,14 @@ class MergedTerrain:
         return tuple(self.surfaces)
 
     def is_of(self, surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> bool:
-        """Tell whether the same surfaces, in the same order, at the same poses make the same."""
+        """Whether the same surfaces, in the same order, at the same poses yield the same."""
         return list(self.surfaces.items()) == list(surfaces.items()) and all(
             self.poses[name].row == poses[name].row for name in surfaces
         )
 
     @property
     def area(self) -> float:
-        """Ground that was seen [m²]."""
+        """Observed ground [m²]."""
         return len(self.positions) * self.resolution**2
 
     @cached_property
@@ -87,7 +87,7 @@ class MergedTerrain:
         return float(np.median((highest - lowest)[shared]))
 
     def cell_at(self, place: Float[Array, "2"]) -> int | None:
-        """Give the cell at a place of the world [m]; None where none was seen."""
+        """The cell at a place of the world [m]; None where there is none."""
         if not len(self.positions):
             return None
         off = np.abs(self.positions[:, :2] - place).max(axis=1)
@@ -100,7 +100,7 @@ class MergedTerrain:
         return row * ROW + column  # in order: `merge_at` sorts the cells
 
     def heights_near(self, places: Float[Array, "k 2"]) -> Float[Array, "k"]:
-        """Give the highest of the nine cells round each place [m]; NaN where none was seen."""
+        """The highest of the nine cells round each place [m]; NaN where there is none."""
         column, row = np.rint(places / self.resolution).astype(np.int64).T
         highest, numbers = np.full(len(places), -np.inf), self._numbers
         for step_x, step_y in product((-1, 0, 1), repeat=2) if len(numbers) else ():
@@ -111,7 +111,7 @@ class MergedTerrain:
         return np.where(np.isfinite(highest), highest, np.nan)
 
     def hit(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
-        """Say which cell a ray of the world hits first, from its origin [m] in any direction."""
+        """The cell that a ray of the world hits first, from its origin [m] in any direction."""
         toward = direction / np.linalg.norm(direction)
         arm = self.positions - origin
         depth = arm @ toward
@@ -171,7 +171,7 @@ def merge_at(
 def _sight(
     place: int, surface: Terrain, pose: Pose, resolution: float
 ) -> tuple[Int[NDArray[np.int64], "k"], Float[Array, "k 9"]]:
-    """Say what one submap saw of the world.
+    """What one submap observed.
 
     Returns:
         The number of each cell on the lattice; and its height, variance, slope along x and y,
@@ -244,7 +244,7 @@ def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
     # The outermost hundredth at either side, such as a single stone, takes the end colours.
     low, high = (float(end) for end in np.percentile(_values(terrain, color), (1, 99)))
     low = 0.0 if style.from_zero else low
-    # Muted ground, on which the colours of tracks and closures are to be told.
+    # Muted ground, from which the colours of tracks and closures stand out.
     color_map = "regolith" if color == "elevation" else style.color_map
     return Scale(style.label, style.unit, color_map, low, high)
 
@@ -281,7 +281,7 @@ def _colors(terrain: MergedTerrain, color: WorldColor, scale: Scale | None, firs
 
 
 def _values(terrain: MergedTerrain, color: WorldColor) -> Float[Array, "n"]:
-    """Give what the colours tell of each cell, in the unit of the layer's style."""
+    """The value that the colours show, by cell, in the unit of the layer's style."""
     if color == "gradient":
         return np.hypot(terrain.slope[:, 0], terrain.slope[:, 1])
     return terrain.std if color == "deviation" else terrain.positions[:, 2]

@@ -61,7 +61,7 @@ class Past:
     number: int  # of the moment among them
     decided: bool = True  # whether its pairs are judged; else the submap has just come by odometry
     moving: bool = False  # whether the map moves there from where it was then
-    grows: bool = False  # whether later submaps are not known yet, so that the cameras follow
+    grows: bool = False  # whether later submaps are still to come, so that the cameras follow
 
     @property
     def moment(self) -> Moment:
@@ -118,7 +118,7 @@ class Past:
         highest = max((c.registration.score for m in self.moments for c in m.closures), default=1.0)
         loops = tuple(loop for loop in verdicts_at(judged).values() if loop.accepted)
         accepted = frozenset(loop.pair for loop in loops)
-        if self.goes_on:  # what is compared, or was refused, is seen for as long as it is news
+        if self.goes_on:  # compared or refused pairs are visible as long as they are news
             news = (replace(closure, accepted=False) for closure in moment.closures)
             loops += tuple(one for one in news if not self.decided or one.pair not in accepted)
         wrong = accepted.intersection(moment.rejected) if self.decided else frozenset[PairOfIds]()
@@ -136,7 +136,7 @@ def between(start: Poses, end: Poses, share: float) -> Poses:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """What is to be seen of all submaps, and how."""
+    """What is shown of all submaps, and how."""
 
     whole: Dataset
     options: WorldOptions = field(default_factory=WorldOptions)
@@ -170,7 +170,7 @@ class World:
         return pose_sources(self.whole, self.correction.corrected)
 
     def with_surfaces(self, surfaces: Mapping[str, Terrain]) -> "World":
-        """Give it as it is drawn; the past has corrected poses and loops of its own."""
+        """The world as it is drawn; the past has corrected poses and loops of its own."""
         if self.past is None:
             return replace(self, surfaces=surfaces)
         return replace(
@@ -204,7 +204,7 @@ class World:
 
     @cached_property
     def track_errors(self) -> dict[str, str]:
-        """The error of each track against the true poses (ATE), where these are known."""
+        """The error of each track against the true poses (ATE), where there are any."""
         dataset, errors = self.dataset, dict[str, str]()
         true, centres = judged_poses(dataset, dataset.true_poses), dataset.centres
         for source, poses in self.trajectories.items():
@@ -227,7 +227,7 @@ class World:
 
     @property
     def certain(self) -> dict[str, Float[Array, "3 3"]]:
-        """The covariances of the poses of which they are known, by id."""
+        """The covariances of the poses that have one, by ID."""
         known = self.correction.covariances
         if known is None or self.options.poses != "corrected":
             return {}
@@ -258,7 +258,7 @@ def marks_of(moments: Sequence[Moment]) -> list[tuple[int, MarkKind]]:
 
 
 def words_of(moment: Moment) -> str:
-    """Say in one line what happened at a moment."""
+    """What happened at a moment, in one line."""
     closes = [closure.database_id for closure in moment.loops]
     words: list[str] = []
     if closes:

@@ -26,7 +26,7 @@ MOST_SEEN = 8
 
 
 class WorldRail:
-    """The rail of Explore; it is seen while the map is."""
+    """The rail of Explore; it is visible while the map is."""
 
     def __init__(self, host: Host, on_share: Callable[[float], None]) -> None:
         """Make it in the current container, unseen; it reports how far from before to after."""
@@ -58,7 +58,7 @@ class WorldRail:
     def show_place(
         self, terrain: MergedTerrain | None, place: Float[Array, "2"] | None
     ) -> int | None:
-        """Show what is known of a place of the world [m]; gives its cell, if it was seen."""
+        """Show the terrain at a place of the world [m]; returns its cell, if there is one."""
         cell = None if terrain is None or place is None else terrain.cell_at(place)
         if terrain is None or cell is None:
             words = "Click a place: who saw it, and what is known of it."
@@ -102,7 +102,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
 
 
 def rows_of_place(terrain: MergedTerrain, cell: int) -> tuple[tuple[str, str], ...]:
-    """Write what is known of a cell of the terrain as rows of a name and a value."""
+    """Write the values of a cell of the terrain as rows of a name and a value."""
     x, y, z = (float(value) for value in terrain.positions[cell])
     first, stop = (int(end) for end in terrain.first[cell : cell + 2])
     rows = [
@@ -138,5 +138,5 @@ def map_legend(world: World, scale: Scale | None) -> str:
 
 
 def score_scale(correction: Correction) -> Scale:
-    """Give what the colours of the closures' arcs mean."""
+    """What the colours of the closures' arcs mean."""
     return Scale("Closures", "score", SCORE_MAP, 0.0, correction.highest_score)

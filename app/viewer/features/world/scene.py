@@ -78,7 +78,7 @@ def arch_colors(
 
 
 def strength_of(loop: LoopClosure, highest: float) -> int:
-    """Give the place in `ARCH_WIDTHS` of a loop, by its score."""
+    """The index in `ARCH_WIDTHS` of a loop, by its score."""
     return int(np.clip(len(ARCH_WIDTHS) * loop.registration.score / highest, 0, 2))
 
 
@@ -91,7 +91,7 @@ def choose_arches(
     """
     chosen: list[LoopClosure] = []
     least = min((loop.registration.score for loop in loops if loop.accepted), default=np.inf)
-    if options.loops and not options.refused:  # what was nearly accepted is seen, faintly
+    if options.loops and not options.refused:  # what was nearly accepted is shown, faintly
         near = likely(loop for loop in loops if not loop.accepted)[: MOST_ARCHES // 4]
         chosen += [loop for loop in near if loop.registration.score >= NEAR * least]
     for accepted, wanted in ((True, options.loops), (False, options.refused)):
@@ -129,7 +129,7 @@ DASH = 0.02
 ARCH_WIDTHS = 2.0, 3.0, 4.5
 """Of arches of low, middling and high scores [pixels]."""
 LINES: dict[str, tuple[Rgb | None, float]] = {
-    # Dark, a little lower and wider, so that each track is told from any ground and any page.
+    # Dark, a little lower and wider, so that each track stands out from any ground and page.
     **{f"edges/{source}": (INK, 6.0) for source in TRAJECTORY_COLORS},
     **{f"trajectories/{source}": (color, 3.0) for source, color in TRAJECTORY_COLORS.items()},
     "refused": ((165, 165, 165), 1.0),
@@ -144,10 +144,10 @@ LINES: dict[str, tuple[Rgb | None, float]] = {
 
 
 def sides_of(places: Mapping[str, Float[Array, "2"]], width: float) -> dict[str, Side]:
-    """Choose who is named, and at which side of its place, so that no name covers another.
+    """Choose which submaps have labels, and at which side, so that no label covers another.
 
-    The places are seen from above with y up [m], on a map of a width [m]. The first that come
-    choose first, and like to be above their place; who finds no room has no name.
+    The places are from above with y up [m], on a map of a width [m]. The first that come
+    choose first, and prefer to be above their place; without room there is no label.
     """
     chosen: dict[str, Side] = {}
     middles, sizes = np.zeros((0, 2)), np.zeros((0, 2))
@@ -238,13 +238,13 @@ class WorldScene:
     def show(
         self, world: World, at: Mapping[str, Pose] | None = None, *, merges: bool = True
     ) -> Scale | None:
-        """Show a world as one consistent change; gives what its colours mean.
+        """Show a world as one consistent change; returns what its colours mean.
 
         Args:
             world: What to show.
             at: Other poses to put the submaps at for the moment, before `mover` moves them on.
             merges: Whether the ground is merged anew, which takes a while. Otherwise each submap
-                keeps its part of it, and a new one lies on top, until `take` is given the ground.
+                keeps its part of it, and a new one lies on top, until `take` receives the ground.
         """
         with self._lock, self._host.atomic():
             self._measure(world)
@@ -275,7 +275,7 @@ class WorldScene:
         return True
 
     def mover(self) -> Callable[[Mapping[str, Pose]], None]:
-        """Give what moves the submaps, and what hangs on them, without drawing them anew.
+        """A mover of the submaps, and what hangs on them, without drawing them anew.
 
         It does nothing once another world has been shown.
         """
@@ -305,7 +305,7 @@ class WorldScene:
         self._width = float(np.median(widths))
 
     def _dress(self, world: World, terrain: MergedTerrain) -> None:
-        """Give each submap its part of a ground; what is not merged yet is shown as it is."""
+        """Draw each submap's part of a ground; what is not merged yet is shown as it is."""
         submaps, color = world.dataset.submaps, world.options.color
         self.terrain, look = terrain, (terrain, color)
         made = dict[str, Surfels]()
@@ -344,7 +344,7 @@ class WorldScene:
         return sides_of(middles, self._reach(world) + self._width)
 
     def _reach(self, world: World) -> float:
-        """Give the longer side of the box round all poses [m]."""
+        """The longer side of the box round all poses [m]."""
         points = np.array([pose.translation[:2] for pose in world.poses.values()]).reshape(-1, 2)
         return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
@@ -364,17 +364,17 @@ class WorldScene:
         }
 
     def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
-        """Say which cell of the terrain a ray of the scene hits first."""
+        """The cell of the terrain that a ray of the scene hits first."""
         terrain = self.terrain
         return None if terrain is None else terrain.hit(origin + self._origin, direction)
 
     def spot(self, cell: int) -> Float[Array, "3"]:
-        """Give where a cell of the terrain is in the scene [m]."""
+        """The position of a cell of the terrain in the scene [m]."""
         assert self.terrain is not None
         return self.terrain.positions[cell] - self._origin
 
     def arch(self, pair: tuple[str, str]) -> Float[Array, "n 3"]:
-        """Give the arch between two submaps in the scene [m]; empty if one is not shown."""
+        """The arch between two submaps in the scene [m]; empty if one is not shown."""
         feet = self._feet
         if not feet.keys() >= set(pair):
             return np.zeros((0, 3))
@@ -383,7 +383,7 @@ class WorldScene:
         return np.vstack([pieces[:, 0], pieces[-1:, 1]]).astype(np.float64)
 
     def outline(self, name: str | None) -> Float[Array, "n 3"]:
-        """Give the outline of a submap over the ground, in the scene [m]; empty if not shown."""
+        """The outline of a submap over the ground, in the scene [m]; empty if not shown."""
         pose, extent = self._poses.get(name or ""), self._extents.get(name or "")
         if pose is None or extent is None:
             return np.zeros((0, 3))
@@ -394,7 +394,7 @@ class WorldScene:
     def arch_at(
         self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
     ) -> LoopClosure | None:
-        """Give the loop whose arch a ray of the scene passes within so many radians, if any."""
+        """The loop whose arch a ray of the scene passes within so many radians, if any."""
         loops, feet = self.arches, self._feet
         loops = drawable(loops, feet)
         if not loops:
@@ -423,7 +423,7 @@ class WorldScene:
         parallel: bool = False,
         names: Collection[str] | None = None,
     ) -> Camera | None:
-        """Give the view in which all, or some submaps, fill a canvas; None while none is shown."""
+        """The view in which all, or some submaps, fill a canvas; None while none is shown."""
         extents = self._extents  # another dataset's, while that is drawn first
         poses = {} if self._shown is None else self._shown.poses
         placed = tuple(
@@ -436,7 +436,7 @@ class WorldScene:
         return frame_camera(all_corners_of(placed), canvas, forward=forward, parallel=parallel)
 
     def path(self) -> Float[Array, "n 3"]:
-        """Give the trajectory along the submaps in the scene [m]."""
+        """The trajectory along the submaps in the scene [m]."""
         poses = {} if self._shown is None else self._shown.poses
         points = [pose.translation - self._origin for pose in poses.values()]
         return np.array(points, dtype=np.float64).reshape(-1, 3)
@@ -549,7 +549,7 @@ class _Node:
 
 
 def has_grown(before: Dataset, after: Dataset) -> bool:
-    """Tell whether a dataset has all submaps of another, and then some more."""
+    """Whether a dataset has all submaps of another, and then some more."""
     return after.submaps[: len(before.submaps)] == before.submaps
 
 

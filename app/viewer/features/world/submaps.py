@@ -35,7 +35,7 @@ WorldColor: TypeAlias = Literal["elevation", "gradient", "deviation", "submap"]
 GAP = 1.15
 """Distance of submaps in rows, in widths of the widest."""
 FOOTPRINT_CELL = 0.25
-"""Ground is seen where a square of this side holds a point [m]."""
+"""Ground is where a square of this side holds a point [m]."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def pose_sources(
 def poses_of(
     dataset: Dataset, source: PoseSource, corrected: Mapping[str, Pose] | None = None
 ) -> dict[str, Pose]:
-    """Give the pose of each submap that the source knows, in the dataset's order.
+    """The pose of each submap that the source has, in the dataset's order.
 
     In the world a submap's pose is that of its centre, because its frame's origin may lie anywhere;
     so the corrected poses are, too.
@@ -112,7 +112,7 @@ def figures_of(
 ) -> tuple[tuple[str, str], ...]:
     """Measure a submap, and write that as rows of a name and a value with its unit.
 
-    Its true pose, if known, says how far odometry and the corrected pose are off, where errors are
+    Its true pose, if any, shows how far odometry and the corrected pose are off, where errors are
     measured; see `slam.graph.judged_poses`.
     """
     points, area = submap.points, footprint(submap)
@@ -158,7 +158,7 @@ FIRST_POINTS, FIRST_CELLS = 3000, 40
 """Of a submap's first ground: points, and cells along its longer side."""
 FEW, CHANGED_AT_ONCE = 32, 8
 """Grids of a dataset that grows are those of so many submaps, or of a power of two of them; and of
-those there were, so many at a time are made coarser."""
+those there were, so many at a time become coarser."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +202,10 @@ def first_surface(submap: Submap) -> Terrain:
 
 
 def counts_as_it_grows(num_submaps: int) -> list[int]:
-    """Give of how many submaps each of a dataset that grows has the grid.
+    """The number of submaps that sets each one's grid, as a dataset grows.
 
     Not of as many as there are: so the grids do not change with each submap that comes. And once
-    there are twice as many, they are made coarser some at a time.
+    there are twice as many, they become coarser some at a time.
     """
     count = 1 << (max(num_submaps, FEW) - 1).bit_length()
     before = count // 2 if count > FEW else 0
@@ -214,7 +214,7 @@ def counts_as_it_grows(num_submaps: int) -> list[int]:
 
 
 def _about_centre(made: GradientMap, submap: Submap, every: int = 1) -> GradientMap:
-    """Give every so many rows and columns of a submap's map, about its centre."""
+    """Every so many rows and columns of a submap's map, about its centre."""
     grid, cells = made.grid, (slice(None, None, every), slice(None, None, every))
     elevation = made.elevation[cells] - submap.centre[2]
     (x, y), (x0, y0, _) = grid.origin, submap.centre.tolist()
@@ -238,10 +238,10 @@ def inferred_surface(
 ) -> Terrain:
     """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
 
-    Of many submaps only some rows and columns are kept, so that all fit into memory.
+    Of many submaps only some rows and columns remain, so that all fit into memory.
 
     Raises:
-        InputError: If the map cannot be made.
+        InputError: If the map cannot be inferred.
     """
     made = infer_quick_map(submap, params.map, memo, progress)
     stride = stride_for(made.grid.num_cells, max(1, MADE_CELLS // num_submaps))
@@ -249,7 +249,7 @@ def inferred_surface(
 
 
 def submap_color(place: int) -> Rgb:
-    """Give a submap its own colour, unlike those of its neighbours along the trajectory."""
+    """A submap's own colour, unlike those of its neighbours along the trajectory."""
     # Hues that go on by the golden section of the circle never come near those just before.
     red, green, blue = colorsys.hls_to_rgb((0.58 + 0.618034 * place) % 1.0, 0.62, 0.5)
     return round(255 * red), round(255 * green), round(255 * blue)

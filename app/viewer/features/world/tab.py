@@ -73,7 +73,7 @@ class _Drawing:
 
 @dataclass(eq=False)
 class _Inferred:
-    """What the Gaussian process has inferred for a key, and whether no more is wanted."""
+    """What the Gaussian process has inferred for a key, and whether no more is needed."""
 
     key: object = None
     surfaces: dict[str, Terrain] = field(default_factory=dict)
@@ -192,7 +192,7 @@ class WorldTab(Feature):
             self.rail.set_visible(state.subject == "world")
 
     def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
-        """Take the full maps that a comparison of all pairs has made, and closures as they come."""
+        """Use the full maps that a comparison of all pairs computed, and closures as they come."""
         if pairs.so_far is not before.so_far and pairs.so_far is not None:
             loops = tuple(
                 one
@@ -211,7 +211,7 @@ class WorldTab(Feature):
             self._submit()
 
     def correct(self, correction: Correction, *, relax: bool = False) -> None:
-        """Take what the pose graph says, and show how the submaps relax to it if asked."""
+        """Set the result of the pose graph; ``relax`` shows how the submaps relax to it."""
         if relax:
             self._leave_past()
         solved = correction.graph is not None
@@ -285,7 +285,7 @@ class WorldTab(Feature):
         self._offer()
 
     def _leave_past(self) -> None:
-        """Show the whole, because poses of the whole are wanted."""
+        """Show the latest state, because its poses are to be shown."""
         if self._wanted.past is not None:
             self._desk.notify(lambda feature: feature.on_drive("latest wanted"))
 
@@ -362,7 +362,7 @@ class WorldTab(Feature):
     def look(
         self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
     ) -> tuple[tuple[str, ...], str]:
-        """Say what a line of sight meets: the submaps of an arch, or one of the ground; and a card.
+        """What a line of sight meets: the submaps of an arch, or one of the ground; and a card.
 
         An arch is met within so many radians.
         """
@@ -386,7 +386,7 @@ class WorldTab(Feature):
     # What the workers do.
 
     def _fly(self, flight: tuple[viser.ClientHandle, LoopClosure], progress: Progress) -> None:
-        """Come near the two submaps of a loop, then open them; the map stays where it was."""
+        """Approach the two submaps of a loop, then open them; the map stays where it was."""
         page, loop = flight
         start, canvas = view_of(page), self._desk.canvases.of(page)
         end = self.scene.camera(canvas, names=loop.pair)
@@ -446,7 +446,7 @@ class WorldTab(Feature):
     def _show(
         self, job: _Drawing, surfaces: Mapping[str, Terrain], progress: Progress = silent
     ) -> World:
-        """Draw the world of such surfaces, and move it from what was before if that is wanted."""
+        """Draw the world of such surfaces, and move it from its state before, if there is one."""
         world = job.world.with_surfaces(surfaces)
         past, graph = world.past, world.correction.graph
         start = None if past is None else past.moves_from
@@ -513,15 +513,15 @@ class WorldTab(Feature):
                 pace.rest()
 
     def _on_cancel(self, job: _Drawing) -> None:
-        """Leave the ground as it is: what has not been inferred stays a smoothed grid."""
+        """Called on cancel: what has not been inferred stays a smoothed grid."""
         self._of(job).declined = True
         if len(job.world.dataset.submaps) > FEW:  # better grids than the first ground
             self._submit()
 
-    # What is said of it.
+    # Its display.
 
     def _tell_of(self, world: World) -> None:
-        """Say what is drawn: in the panel, the rail, the legend and to other features."""
+        """Report what is drawn: in the panel, the rail, the legend and to other features."""
         self.world = world
         self._say_drawn(world)
         self._legend.content = legend_html(self.scene.scale)
@@ -535,7 +535,7 @@ class WorldTab(Feature):
             self._show_selected()
 
     def _show_drawn(self, job: _Drawing, world: World) -> None:
-        """Say what is drawn, and bring the cameras to another dataset, or to its relaxed map."""
+        """Report what is drawn, and move the cameras to another dataset, or to its relaxed map."""
         self._tell_of(world)
         dataset = world.dataset
         another = self._framed is not dataset
@@ -591,7 +591,7 @@ class WorldTab(Feature):
 
 
 def _maps_of(state: ViewState) -> tuple[Any, ...]:
-    """Give all that the surfaces of a dataset's submaps depend on."""
+    """All that the surfaces of a dataset's submaps depend on."""
     return state.method, state.given.map, state.given.features.max_std_ratio
 
 

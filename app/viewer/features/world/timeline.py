@@ -43,14 +43,14 @@ class TimelineMsg(msgspec.Struct):
 
 
 class Timeline(Feature):
-    """Plays the drive of the open dataset, which it computes when it is first asked for.
+    """Plays the drive of the open dataset, which it computes at the first request.
 
     Attributes:
-        moments: Of the drive, as far as they are known.
+        moments: Of the drive, as far as it is computed.
     """
 
     def __init__(self, desk: Desk, world: WorldTab, modes: ModeSwitch, opened: Opened) -> None:
-        """Put the script into the current container, unseen."""
+        """Add the script to the current container, hidden."""
         self._desk, self._world, self._modes = desk, world, modes
         self._lock = threading.RLock()
         self._state = desk.state
@@ -133,7 +133,7 @@ class Timeline(Feature):
             self._tell()
 
     def on_drive(self, news: DriveNews) -> None:
-        """Say what happened at the moment that the map shows by now, or leave it for the whole.
+        """Show what happened at the moment that the map shows by now, or leave it for the whole.
 
         It is not left while the drive still goes on.
         """
@@ -162,7 +162,7 @@ class Timeline(Feature):
     # A drive that still goes on.
 
     def _come(self, _moment: Moment) -> None:
-        """Take the next moment of a drive that goes on; whoever looks at its end follows it."""
+        """Called at the next moment of a drive that goes on; whoever is at its end follows it."""
         with self._lock:
             live = self._live
             if live is None:
@@ -182,7 +182,7 @@ class Timeline(Feature):
             self._desk.open(self._all_of(drive, drive.run))
 
     def _newer(self) -> Opened | None:
-        """Give all submaps that have come, if the session does not know them yet."""
+        """All submaps that have come, if the session lacks some of them."""
         drive = self._live
         if drive is None:
             return None
@@ -192,7 +192,7 @@ class Timeline(Feature):
         return None
 
     def _all_of(self, drive: Drive, goes_on: Drive | Run) -> Opened:
-        """Give all submaps that have come, at first with the best loop closure as the pair.
+        """All submaps that have come, at first with the best loop closure as the pair.
 
         Later the pair, parameters and decisions stay as a person has them.
         """
@@ -299,7 +299,7 @@ class Timeline(Feature):
                 self._add(state, moment, high)
 
     def _add(self, state: ViewState, moment: Moment, fraction: float) -> None:
-        """Put a new moment in the place of the one of other parameters."""
+        """Replace a moment of other parameters by a new one."""
         number = moment.number
         with self._lock:
             if state.given != self._used or not same_search(state, self._state):
@@ -315,11 +315,11 @@ class Timeline(Feature):
     def _computed(self, state: ViewState, *_: object) -> None:
         with self._lock:
             if state.given != self._used:
-                return  # another is wanted by now
+                return  # another is requested by now
             self._fraction = None
             stopped = self._new < len(self._state.dataset.submaps)
             if stopped:
-                self._used = None  # it is begun again when it is next asked for
+                self._used = None  # it begins again at the next request
                 self.moments = self.moments[: self._new]
         self._show()
 
