@@ -96,7 +96,7 @@ class BuildTool:
         return (made, *report.notes)
 
     def _allowed(self, out: Path) -> Path:
-        """Give the folder to make without links; with a root, it must lie inside."""
+        """The folder to create, without links; with a root, it must lie inside."""
         if self._root is None:
             above = out.expanduser().absolute().parent
             if not above.is_dir():

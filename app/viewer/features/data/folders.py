@@ -147,7 +147,7 @@ def _is_there(path: str) -> bool:
 
 
 def remember_dataset(config: Path, path: str) -> tuple[str, ...]:
-    """Put a dataset first among the recent ones; a list that cannot be written goes to the log."""
+    """Store a dataset as the first of the recent ones; if that fails, the log has it."""
     paths = tuple(dict.fromkeys((path, *recent_datasets(config))))[:MOST_RECENT]
     try:
         config.mkdir(parents=True, exist_ok=True)

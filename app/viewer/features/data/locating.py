@@ -106,7 +106,7 @@ class LocateTool(Feature):
         self._downloads = Downloads(desk.jobs, self.bar, desk.capacity.long)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Forget what was found of another dataset."""
+        """Forget the results of another dataset."""
         if state.view.dataset is before.view.dataset:
             return
         self._work.cancel()
@@ -199,7 +199,7 @@ def _odometry(submaps: Sequence[Submap]) -> list[Pose]:
 
 
 def found_html(found: "Located") -> str:
-    """Write how many were found, a picture of the model with all of them, and a list."""
+    """Write how many were located, a picture of the model with all of them, and a list."""
     from gpgrad_core.locating import spread  # noqa: PLC0415 - loads slowly
 
     rows: list[str] = []

@@ -84,10 +84,10 @@ class DataTab(Feature):
     """Opens one dataset at a time; what is open stays until the next is ready."""
 
     def __init__(self, desk: Desk, on_error: Callable[[str], None] = lambda _: None) -> None:
-        """Make the widgets in the current container; an error is told outside of it, too."""
+        """Add the widgets to the current container; an error is reported outside of it, too."""
         self._desk, self._on_error = desk, on_error
         allowed = self._permissions = desk.permissions
-        self._uploads: Path | None = None  # of this session, made when first needed
+        self._uploads: Path | None = None  # of this session, created when first needed
         self._folder = Path()
         gui, browses = desk.host.gui, allowed.root is not None
         self._recent: viser.GuiDropdownHandle[str] = gui.add_dropdown(
@@ -158,7 +158,7 @@ class DataTab(Feature):
         self._loader.start(Request(saved.dataset, saved=saved))
 
     def _watch(self, fraction: float | None, message: str) -> None:
-        """Tell of an error where the picture is, as the tab may not be seen."""
+        """Report an error where the picture is, as the tab may not be visible."""
         if fraction is None and message not in ("", CANCELLED):
             self._on_error(message)
 
@@ -192,7 +192,7 @@ class DataTab(Feature):
         self.refuse(f"{said.name[:80]}: {why}")
 
     def refuse(self, message: str) -> None:
-        """Say why a file that a page sends was not taken."""
+        """Report why a file that a page sends was refused."""
         self.work_bar.failed(message)
         self._on_error(message)
 
@@ -214,7 +214,7 @@ class DataTab(Feature):
 
     def _upload(self, name: str, content: bytes) -> None:
         try:
-            name = check_name(name).name  # a page may send any name, and files are made of it
+            name = check_name(name).name  # a page may send any name, and files get it
         except InputError as error:
             self.refuse(f"The upload was refused: {error}")
             return
@@ -289,7 +289,7 @@ class DataTab(Feature):
 
     @contextmanager
     def _recording(self, source: Path) -> Generator[None]:
-        """Offer to build submaps where a recording is given, or say how to if none may be."""
+        """Offer to build submaps from a recording, or explain how to if none may be built."""
         if self._builder is None:
             with built_first(source):
                 yield
@@ -368,7 +368,7 @@ def place_html(root: Path, listing: Listing) -> str:
 
 
 def _as_uploaded(error: Exception, name: str, source: Path) -> str:
-    """Say what is wrong with an upload by the names that the page knows, not by where it lies."""
+    """What is wrong with an upload, by the names that the page has, not by where it lies."""
     if isinstance(error, OSError):
         return f"{name}: {error.strerror or error}"
     within, shown = "" if source.name == CLOUDS else f"{name}: ", InputError(source)  # as errors do

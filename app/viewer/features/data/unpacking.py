@@ -49,9 +49,9 @@ class _Member:
 def unpack(
     name: str, content: bytes, folder: Path, most_bytes: int, progress: Progress = silent
 ) -> tuple[Path, tuple[str, ...]]:
-    """Unpack a zipped dataset, or a folder that a page has packed, as the ending of its name says.
+    """Unpack a zipped dataset, or a folder that a page has packed, by the ending of its name.
 
-    The folder to unpack to must not exist yet, and an error removes it. Given back are the
+    The folder to unpack to must not exist yet, and an error removes it. Returned are the
     dataset's folder, which is the one folder in the archive if there is just one, and a line that
     counts what was left out, if anything was.
     """
@@ -143,7 +143,7 @@ def _place(name: str, member: _Member) -> PurePosixPath:
 
 
 def _is_hidden(place: PurePosixPath) -> bool:
-    """Tell whether the system made the file, not the user (.DS_Store, __MACOSX/…)."""
+    """Whether the system created the file, not the user (.DS_Store, __MACOSX/…)."""
     return any(part.startswith((".", "__MACOSX")) for part in place.parts)
 
 

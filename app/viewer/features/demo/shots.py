@@ -68,7 +68,7 @@ class Shots:
         return self._figure(k, self._view(k))
 
     def film(self, frames_a_second: float) -> Generator[tuple[Shot, float, float]]:
-        """Give each picture, how long it stands [s], and the share of the whole that is done.
+        """Yield each picture, how long it stands [s], and the share of the whole that is done.
 
         Threads draw the next ones meanwhile.
         """
@@ -86,7 +86,7 @@ class Shots:
     def _pictures(
         self, frames_a_second: float, threads: ThreadPoolExecutor
     ) -> Iterator[tuple[Callable[[], Shot], float, float]]:
-        """Give what draws each picture, how long that stands, and the share that is done."""
+        """Yield what draws each picture, how long that stands, and the share that is done."""
         whole, step, last = len(self.keyframes), 1.0 / frames_a_second, None
         for k in range(whole):
             sheet = pixels_of(self._figure(k, None))
@@ -102,7 +102,7 @@ class Shots:
             last = still
 
     def motion(self, k: int) -> Motion:
-        """Say what moves on the way to a step; to the first, nothing but the camera."""
+        """What moves on the way to a step; to the first, nothing but the camera."""
         return motion_between(self.keyframes[max(k - 1, 0)].options, self.keyframes[k].options)
 
     def moves(self, k: int) -> bool:
@@ -114,7 +114,7 @@ class Shots:
         return shot
 
     def _view(self, k: int, share: float = 1.0) -> Shot:
-        """Draw a step, or what is seen at a share of the way that leads to it."""
+        """Draw a step, or what is visible at a share of the way that leads to it."""
         here, camera = self._drawings[k], self.cameras[k]
         placed, colors = here.picture.placements, None
         if share < 1.0:
@@ -132,7 +132,7 @@ class Shots:
         return draw_picture(view, self.written(k), self._sheet)
 
     def written(self, k: int) -> Written:
-        """Say what stands beside a step."""
+        """The words beside a step."""
         words = self.keyframes[k].title, self.keyframes[k].line
         drawing, camera = self._drawings[k], self.cameras[k]
         return written_of(drawing, self.result, camera, self._canvas, words, self._dark)

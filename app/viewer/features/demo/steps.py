@@ -20,7 +20,7 @@ STILL, LANDED = 4.5, 2.0
 
 
 def motion_between(before: ViewOptions, after: ViewOptions) -> Motion:
-    """Say what moves from one step to the next."""
+    """What moves from one step to the next."""
     if after.layout != "registered":
         return "turn"
     if before.layout != "registered":
@@ -30,7 +30,7 @@ def motion_between(before: ViewOptions, after: ViewOptions) -> Motion:
 
 
 def story_of(state: ViewState, result: PairResult, *, closes_map: bool) -> tuple[Keyframe, ...]:
-    """Tell a closure in five steps, and in a sixth that the map closes."""
+    """A closure in five steps, and in a sixth the map that closes."""
     registration, options = result.registration, state.options
     plain = replace(
         options,

@@ -30,7 +30,7 @@ Latest: TypeAlias = Callable[[], tuple[ViewState, PairResult] | None]
 LONGEST_WAIT = 60.0
 """For the picture of a step [s]; then what is there is played."""
 LARGE = 1.8
-"""Of the submaps' names while a story is told, beside their usual size."""
+"""Of the submaps' names while a story is shown, beside their usual size."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Story:
 
     @property
     def told(self) -> Ask | None:
-        """Where it stands; None while nothing is told."""
+        """Where it stands; None while no story runs."""
         return self._at
 
     # What people ask for.
@@ -80,12 +80,12 @@ class Story:
         self._go(Ask(0, going=True))
 
     def rest(self) -> None:
-        """Stand still, or go on from the same step; does nothing while nothing is told."""
+        """Pause, or go on from the same step; does nothing while no story runs."""
         if self._at is not None:
             self._go(Ask(self._at.step, not self._at.going))
 
     def turn(self, by: int) -> None:
-        """Go steps on or back, and rest there."""
+        """Move by so many steps, and pause."""
         if self._at is not None:
             self._go(Ask(self._at.step + by, going=False))
 
@@ -143,7 +143,7 @@ class Story:
     # The steps.
 
     def steps(self) -> tuple[Keyframe, ...]:
-        """Give the keyframes of the session; without any, the story of the pair that is shown."""
+        """The keyframes of the session; without any, the story of the pair that is shown."""
         shown = self._latest()
         if self._desk.now.keyframes or shown is None:
             return self._desk.now.keyframes
@@ -174,7 +174,7 @@ class Story:
                 lambda now: replace(now, view=replace(now.view, options=options), moving=False),
                 deliver=False,
             )
-        self._desk.deliver()  # without the lock, which who is told may need to end the story
+        self._desk.deliver()  # without the lock, which a feature may need to end the story
         until = time.monotonic() + LONGEST_WAIT
         while True:
             progress(0.0)
@@ -212,14 +212,14 @@ class Story:
     def _flight(
         self, frame: Keyframe, draw: Callable[[float], None], seconds: float, *, rest: float
     ) -> Animation:
-        """Bring the cameras of all pages to a keyframe while something is drawn."""
+        """Move the cameras of all pages to a keyframe while something is drawn."""
         starts = {page: view_of(page) for page in pages(self._desk.host).values()}
         state, layout = self._desk.state, frame.options.layout
 
         def at(share: float) -> None:
             draw(ease(share))
             for page, start in starts.items():
-                # Asked for each time: a canvas whose panels go away grows meanwhile.
+                # Read each time: a canvas whose panels go away grows meanwhile.
                 canvas = self._desk.canvases.of(page)
                 end = frame.camera or self._pair.camera(state, canvas, layout=layout)
                 set_view(page, blend(start, end, ease(share)))

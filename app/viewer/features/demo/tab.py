@@ -52,7 +52,7 @@ PLAYABLE: tuple[Playable, ...] = get_args(Playable)
 SUBJECTS: tuple[Subject, ...] = get_args(Subject)
 NO_STEPS: tuple[str, ...] = ("1",)
 ADD, EARLIER, LATER, REMOVE = EDITS = ("Add this view", "Earlier", "Later", "Remove")
-"""What the list of steps can be asked for."""
+"""What the list of steps offers."""
 
 
 class DemoTab(Feature):
@@ -148,7 +148,7 @@ class DemoTab(Feature):
         on_press_by(slides, lambda client: self._take(client, SLIDES[slide_kind.value]))
 
     def add_commands(self, commands: Commands) -> None:
-        """Add what the keyboard does while a story is told; scripts hear the arrows."""
+        """Add what the keyboard does while a story is shown; scripts handle the arrows."""
         for label, act, key in (
             ("Present", self._present, None),
             ("Rest, or go on", self.story.rest, "space"),
@@ -241,7 +241,7 @@ class DemoTab(Feature):
             self._list()
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Take the pair that is shown, and play it if a user asked for that; or forget it."""
+        """Store the pair that is shown, and play it if a user requested that; or forget it."""
         if isinstance(news, SubmapShown):
             with self._lock:
                 self.shown, self._playing = None, False

@@ -51,7 +51,7 @@ class ReadingPanel:
         self.clear_button.visible = True
 
     def nothing_there(self) -> None:
-        """Say that a click met no surface."""
+        """Report that a click met no surface."""
         self.clear()
         self.card.content = paragraph(f"There is no surface. {HOW_TO_READ}", f"color:{BUSY}")
 
@@ -98,7 +98,7 @@ class RulerPanel:
         )
 
     def wait_for(self, *, end: int | None) -> None:
-        """Say which end comes next, 0 or 1; None says nothing, for the ruler is off."""
+        """Show which end comes next, 0 or 1; None shows nothing, for the ruler is off."""
         said = (
             "Hold Shift and click the second place."
             if end
@@ -202,9 +202,9 @@ class MatchesPanel:
         on_step: Callable[[int], None],
         numbers: Numbers,
     ) -> None:
-        """Make the widgets in the current container.
+        """Add the widgets to the current container.
 
-        They report the number asked for, 0 for none, and a step, 1 for the next, -1 for the
+        They report the requested number, 0 for none, and a step, 1 for the next, -1 for the
         previous.
         """
         gui = host.gui

@@ -52,7 +52,7 @@ class InspectTab(Feature):
         on_scene_click(desk.host, self.clicked, modifier="shift")
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Follow what was found and what is pointed at."""
+        """Show the result, and what is pointed at."""
         if isinstance(news, PairShown):
             self._show_pair(news)
         elif isinstance(news, SubmapShown):

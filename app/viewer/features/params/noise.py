@@ -115,7 +115,7 @@ def noise_html(found: NoiseOverRange, params: TerrainParams) -> str:
         (across(median(found.ranges[part])), up(100 * median(found.modelled[part])))
         for part in parts
     ]
-    if params.noise_model in ("constant", "range"):  # known at every range
+    if params.noise_model in ("constant", "range"):  # defined at every range
         ranges = np.linspace(0.0, float(found.ranges[-1]), STEPS)
         growth = params.noise_growth if params.noise_model == "range" else 0.0
         heights = up.places(100 * (params.noise_std + growth * ranges**2))

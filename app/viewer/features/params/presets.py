@@ -83,7 +83,7 @@ BUILT_IN: tuple[Preset, ...] = (
 
 
 def _built_in(default: PipelineParams) -> tuple[Preset, ...]:
-    """Give the presets that are built in, where the default is what the dataset prefers."""
+    """The presets that are built in, where the default is what the dataset prefers."""
     first, *others = BUILT_IN
     if default == first.params:
         return BUILT_IN
@@ -220,7 +220,7 @@ class PresetsTool(Feature):
     def _offer(self, own: Iterable[Preset]) -> None:
         """Offer presets of the user's own beside those that are built in.
 
-        What is saved or deleted later is told here; reading all files anew would make pages wait.
+        What is saved or deleted later is passed here; reading all files anew would make pages wait.
         """
         self._own = tuple(own)
         self._list.options = (CUSTOM, *(preset.name for preset in (*self._built_in, *self._own)))
@@ -239,7 +239,7 @@ class PresetsTool(Feature):
         self.message.content = f'<div data-testid="preset-message">{colored}</div>'
 
     def _answer(self, act: Callable[[], str]) -> None:
-        """Do something, and say what came of it or why it was refused."""
+        """Run an act, and report its result or why it was refused."""
         try:
             self._tell(act())
         except InputError as error:
@@ -272,7 +272,7 @@ class PresetsTool(Feature):
         send_file(client, f"{safe_name(name, 'parameters')}.toml", text.encode())
 
     def _upload(self, name: str, content: bytes) -> None:
-        """Take an uploaded file over what the method takes for the dataset."""
+        """Apply an uploaded file over what the method takes for the dataset."""
 
         def take() -> str:
             tables = parse_toml(content, name, LARGEST)

@@ -1,6 +1,6 @@
-"""Sensitivity: the pair registered at many values of a parameter, and what comes of it.
+"""Sensitivity: the pair registered at many values of a parameter, and the results.
 
-A strip below each slider says where the pair is a loop closure. The strips are made in the
+A strip below each slider shows where the pair is a loop closure. They are computed in the
 background, while nothing else is to be done.
 """
 
@@ -31,18 +31,18 @@ _log = logging.getLogger(__name__)
 AT_FIRST = 11
 """Values that are tried over a slider; between two that differ, others are."""
 FINE = 0.02
-"""The place where the verdict changes is known within this share of the slider."""
+"""The value where the verdict changes is located within this share of the slider."""
 IDLE_S = 1.0
-"""Pause after the last change before strips are made [s]."""
+"""Pause from the last change to the strips [s]."""
 SCRATCH = 60_000_000
-"""Bytes of maps and the like that are kept for the next value, apart from those of the pictures."""
+"""Bytes of maps and the like to reuse for the next value, apart from those of the pictures."""
 MOST_KEPT = 240
 """Parameters of pairs whose trials are remembered; the oldest are forgotten first."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """What was found at one value of the parameter."""
+    """The result at one value of the parameter."""
 
     value: float
     score: float
@@ -63,19 +63,19 @@ def _spans_decades(field: Field) -> bool:
 
 
 def _ends(field: Field, current: float | None) -> tuple[float, float]:
-    """Give the ends of the slider, which the present value may lie beyond."""
+    """The ends of the slider, extended to a present value beyond them."""
     assert field.bounds is not None
     low, high = field.bounds.slider_range
     return (low, high) if current is None else (min(low, current), max(high, current))
 
 
 def middle(field: Field, first: float, second: float) -> float:
-    """Give the value that stands between two on the slider."""
+    """The value midway between two on the slider."""
     return sqrt(first * second) if _spans_decades(field) else (first + second) / 2
 
 
 def finer(field: Field, tried: Iterable[Tried]) -> float | None:
-    """Choose a value where the verdict changes; None if all such places are known well enough."""
+    """Choose a value where the verdict changes; None if all such places are precise enough."""
     ordered = sorted(tried, key=lambda trial: trial.value)
     at = np.log if _spans_decades(field) else float
     width = at(ordered[-1].value) - at(ordered[0].value)
@@ -89,7 +89,7 @@ def finer(field: Field, tried: Iterable[Tried]) -> float | None:
 
 
 def strip_of(field: Field, tried: Sequence[Tried]) -> Strip:
-    """Say where on a slider the pair is a loop closure; the trials are in order."""
+    """Where on a slider the pair is a loop closure; the trials are in order."""
     changes = [
         middle(field, first.value, second.value)
         for first, second in pairwise(tried)
@@ -103,7 +103,7 @@ def strip_of(field: Field, tried: Sequence[Tried]) -> Strip:
 
 
 def where_accepted(tried: Sequence[Tried], unit: str) -> str:
-    """Say in a sentence at which values the pair is a loop closure."""
+    """A sentence on the values at which the pair is a loop closure."""
     runs = [
         [trial.value for trial in run]
         for accepted, run in groupby(tried, key=lambda trial: trial.accepted)
@@ -120,7 +120,7 @@ def where_accepted(tried: Sequence[Tried], unit: str) -> str:
 
 
 def in_words(field: Field, tried: Sequence[Tried]) -> str:
-    """Say where the pair is a loop closure, where the score is highest, and what was tried."""
+    """Where the pair is a loop closure, where the score is highest, and each trial, in words."""
     unit = "" if field.bounds is None else field.bounds.unit
     best = max(tried, key=lambda trial: trial.score)
     highest = f"The highest score is {score_in_words(best.score)}, at {best.value:g} {unit}"
@@ -163,7 +163,7 @@ class SensitivityTool(Feature):
         desk.bridge.hear("sliders", lambda _page, _data: self._rest())
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Show what is known of the new state; what is missing waits until a hand rests."""
+        """Show the results of the new state; what is missing waits until a hand rests."""
         is_other = not (
             same_pair(before.view, state.view) and before.view.method == state.view.method
         )
@@ -196,14 +196,14 @@ class SensitivityTool(Feature):
         for field in self._fields(state):
             if field.path in self._strips and not self._strips[field.path].stale:
                 continue
-            # A fit of each submap is not made again, unless the terrain itself varies.
+            # A fit of each submap is not repeated, unless the terrain itself varies.
             memo = self._desk.memo if fits_each and not field.path.startswith("map.") else scratch
             self._register(state, field, progress, memo)
             self._show_strips()
             self._desk.host.flush()
 
     def _trials(self, state: ViewState, field: Field) -> dict[float, Tried]:
-        """Give what is known of a parameter at a state, whatever its own value is there."""
+        """The trials of a parameter at a state, whatever its own value is there."""
         assert field.bounds is not None
         others = with_path(state.given, field.path, field.rounded(field.bounds.slider_range[0]))
         pair = tuple(submap.fingerprint for submap in state.pair)
@@ -232,7 +232,7 @@ class SensitivityTool(Feature):
             k += 1
 
     def _show_strips(self) -> None:
-        """Show the strips of the present state; of what is not known, those of before."""
+        """Show the strips of the present state; where there is none yet, that of before."""
         state, strips = self._desk.state, dict[str, Strip]()
         for field in self._fields(state) if state.is_pair else ():
             known = self._trials(state, field)

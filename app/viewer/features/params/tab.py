@@ -175,7 +175,7 @@ class ParamsTab(Feature):
             self._desk.release(params)
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
-        """Take what a person has set; the noise is no longer automatic if a part of it is set.
+        """Apply what a person has set; the noise is no longer automatic if a part of it is set.
 
         Then the model that the points chose stays, with its other numbers.
         """

@@ -161,7 +161,7 @@ class Written:
 def draw_picture(
     view: UInt8[NDArray[np.uint8], "rows columns _"] | None, written: Written, sheet: Sheet
 ) -> Figure:
-    """Put a view of the scene onto a sheet, and write below it what it shows.
+    """Draw a view of the scene on a sheet, and write below it what it shows.
 
     Words stand at the left, scale bar and legend at the right, as they do while a page presents.
     """

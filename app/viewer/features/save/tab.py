@@ -91,7 +91,7 @@ class SaveTab(Feature):
         self._command.content = command_html(detect_command(state) if named else "")
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Show the command that compares all pairs, if all of them were asked for the verdict."""
+        """Show the command that compares all pairs, if all of them took part in the verdict."""
         if not isinstance(news, PairShown) or news.state is not self._desk.state:
             return
         if news.result.closure.context is not None and news.state.source:
@@ -206,7 +206,7 @@ class ReportTool(Feature):
         commands.add_for_page("Session", "Report a wrong verdict", ask_of_wrong)
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Keep the verdict that is shown: other pairs may have been asked for it."""
+        """Store the verdict that is shown: other pairs may have taken part in it."""
         if isinstance(news, PairShown):
             self._shown = news
 
@@ -258,7 +258,7 @@ CLOSURES = {
     "g2o": "graph.g2o",
     "TUM, corrected poses": "poses_corrected.txt",
 }
-"""File name by what is wanted of the loop closures."""
+"""File name by the form of the loop closures."""
 
 MAPS = {"NPZ": ".npz", "GeoTIFF": ".tif", "PLY mesh": ".ply", "PNG": ".png"}
 """Ending by the format of a map."""
@@ -347,7 +347,7 @@ class Exports(Feature):
         self._shown = news if isinstance(news, PairShown) else None
 
     def _drawable(self) -> PairShown | None:
-        """Give the pair that is shown if all that is seen of it can be drawn without the page."""
+        """The pair that is shown if all that is visible of it can be drawn without the page."""
         state, shown = self._desk.state, self._shown
         is_pointed_at = state.match or state.probe or state.options.left_out
         return None if shown is None or shown.state is not state or is_pointed_at else shown

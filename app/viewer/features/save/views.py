@@ -25,7 +25,7 @@ Words = tuple[str, str]
 
 
 def ground_of(dark: bool) -> Rgb:
-    """Give the background of a picture."""
+    """The background of a picture."""
     red, green, blue = (round(255 * part) for part in to_rgb(GROUND_AND_INK[dark][0]))
     return red, green, blue
 
@@ -51,7 +51,7 @@ def pair_view(
 def rendered_view(
     page: viser.ClientHandle, canvas: Canvas, words: Words, scale: Scale | None, dark: bool
 ) -> tuple[View, Written]:
-    """Have a page draw what it shows."""
+    """What a page shows, drawn by it."""
     view = view_of_page(page, round(canvas.width), round(canvas.height))
     share = view[..., 3:] / 255.0
     mixed = view[..., :3] * share + np.array(ground_of(dark)) * (1.0 - share)
@@ -67,7 +67,7 @@ def written_of(
     words: Words,
     dark: bool,
 ) -> Written:
-    """Say what stands beside a view of the pair: title, line, scale bar, legend and marks."""
+    """What stands beside a view of the pair: title, line, scale bar, legend and marks."""
     picture, bar = drawing.picture, scale_bar(camera, canvas)
     counts = shown_counts(result, picture.state.options)
     return Written(*words, bar, picture.scale, dark, counts, inlier_color(result))
