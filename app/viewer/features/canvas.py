@@ -70,11 +70,11 @@ class Framing(Feature):
     # What the session tells.
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Bring the cameras to another pair or layout.
+        """Move the cameras to another pair or layout.
 
-        A saved session has them somewhere, and whoever turned to another scene has moved them.
-        When panels are put away or back, the canvas becomes another soon: it is filled from where
-        it was seen before.
+        A saved session has its own cameras, and so has a page that changed to another scene.
+        When panels are hidden or shown, the canvas changes soon: it is filled in the direction of
+        sight that it had before.
         """
         opened = state.opened_since(before)
         is_saved = bool(opened and opened.saved and opened.saved.camera)
@@ -92,7 +92,7 @@ class Framing(Feature):
         self._say()
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Bring the cameras to what needed a motion to be placed, and say what is seen."""
+        """Move the cameras to what needed a motion to be placed, and caption it."""
         if isinstance(news, PairMoved):
             self._moved = news.by_hand
         elif isinstance(news, PairOutdated):
@@ -123,13 +123,13 @@ class Framing(Feature):
         self._keep_next = True
 
     def frame(self, page: viser.ClientHandle | None) -> None:
-        """Bring the camera of a page, or all, to all that is shown."""
+        """Move the camera of a page, or all, to all that is shown."""
         self._kept = False
         for shown in pages(self._desk.host).values() if page is None else (page,):
             self._frame(shown)
 
     def above(self, page: viser.ClientHandle) -> None:
-        """Have a page look straight down on all that is shown, without perspective."""
+        """Show all from straight above on a page, without perspective."""
         camera = self._camera(page, DOWN, parallel=True)
         if camera is not None:
             set_view(page, camera)
@@ -155,7 +155,7 @@ class Framing(Feature):
                 self.frame(None)
 
     def _frame_if_turned(self, state: ViewState) -> None:
-        """Bring the cameras to a query that has turned, unless a user or a link moved them."""
+        """Move the cameras to a query that has turned, unless a user or a link moved them."""
         with self._lock:
             turned = self._pair.turns(state)
             if turned == self._turned or self._subject != "pair":
@@ -167,7 +167,7 @@ class Framing(Feature):
                         self._frame(page)
 
     def _frame(self, page: viser.ClientHandle, *, from_there: bool = False) -> None:
-        """Bring a page's camera to all that is shown; it may keep its direction of sight."""
+        """Move a page's camera to all that is shown; it may keep its direction of sight."""
         forward, parallel = None, False
         if from_there:
             view = view_of(page)
@@ -185,7 +185,7 @@ class Framing(Feature):
         return self._pair.camera(self._desk.state, canvas, forward, parallel=parallel)
 
     def _on_canvas(self, page: viser.ClientHandle) -> None:
-        """Take that a page is there, or that its canvas has become another."""
+        """Called when a page is there, or when its canvas has changed."""
         self._lead()
         with self._lock:
             is_new = page not in self._watched
@@ -283,7 +283,7 @@ class Framing(Feature):
         }
 
     def _move_swipe(self) -> None:
-        """Bring the handle of the swipe to where its line is by now."""
+        """Move the handle of the swipe to where its line is by now."""
         at = None if self._pair.picture is None else self._pair.picture.swipe_at
         if at != self._swipe_at:
             self._swipe_at = at

@@ -26,7 +26,7 @@ from gpgrad_core.types import Submap
 MOST_LISTED = 60
 """Submaps that are listed at once: words narrow the list."""
 MOST_PORTRAITS = 2000
-"""That are kept, the newest; each has about four kilobytes."""
+"""Of the newest submaps; each has about four kilobytes."""
 
 Words = Annotated[str, Meta(max_length=200)]
 
@@ -50,7 +50,7 @@ class Chooser(Feature):
     """Shows the strip while a pair is on the canvas and the panels are there."""
 
     def __init__(self, desk: Desk) -> None:
-        """Put the script into the current container, unseen."""
+        """Add the script to the current container, hidden."""
         self._desk = desk
         self._told: dict[str, object] = {}
         self._portraits: dict[str, str] = {}  # by fingerprint, as the pages keep them
@@ -144,7 +144,7 @@ class Chooser(Feature):
         self._desk.canvases.show(page, "pair", data)
 
     def _send_portraits(self, page: viser.ClientHandle, submaps: Iterable[Submap]) -> None:
-        """Send a page those that are made, and have the others made."""
+        """Send a page those that are there, and request the others."""
         made: dict[str, str] = {}
         for submap in submaps:
             known = self._portraits.get(submap.fingerprint)

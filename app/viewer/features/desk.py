@@ -1,7 +1,7 @@
-"""The features of the viewer and their desk: what a feature may ask, and what it is told.
+"""The features of the viewer and their desk: what a feature requests, and what reaches it.
 
 A feature is a tab or a tool. It knows its session by one object, the desk. It reads the present
-state there and asks for changes there; the desk tells all features of whatever happens. What one
+state there and requests changes there; the desk notifies all features of each. What one
 feature does for another is a call: the session hands it over as one of the narrow protocols
 below. So no feature needs to know another.
 """
@@ -63,7 +63,7 @@ class Feature:
     """Everything that may reach a feature; each overrides what concerns it.
 
     All of it must be quick: what takes longer than a few milliseconds belongs to a `Lane` of
-    its own in the session's jobs. Every feature is told of everything in the same order.
+    its own in the session's jobs. Every feature receives everything in the same order.
     """
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
@@ -73,13 +73,13 @@ class Feature:
         """
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Called when what is seen of the pair, or of the one submap, has become another."""
+        """Called when what is shown of the pair, or of the one submap, has changed."""
 
     def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
         """Called when all pairs are compared, and when they are judged anew."""
 
     def on_drive(self, news: DriveNews) -> None:
-        """Called when the world was drawn, and when the latest of it is wanted."""
+        """Called when the world was drawn, and when the latest is to be shown."""
 
     def close(self) -> None:
         """Called at the end, when no job runs any more."""
@@ -103,13 +103,13 @@ class Cameras(Protocol):
     """Moves the cameras of the pages."""
 
     def frame(self, page: viser.ClientHandle | None) -> None:
-        """Bring the camera of a page to all that is shown; None means those of all pages."""
+        """Frame all that is shown with the camera of a page; None means those of all pages."""
 
     def look(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Show a page what is shown from where a link has the camera."""
 
     def keep_cameras(self) -> None:
-        """Leave the cameras where they are when what is shown changes next."""
+        """Do not move the cameras when what is shown changes next."""
 
 
 @runtime_checkable
@@ -117,7 +117,7 @@ class ModeSwitch(Protocol):
     """Changes what the page is for, and so what the scene shows."""
 
     def go(self, mode: Mode) -> None:
-        """Go to a mode."""
+        """Set the mode."""
 
     def tune(
         self, query_id: str, database_id: str, *, back_to: Mapping[int, Camera] | None = None
@@ -128,7 +128,7 @@ class ModeSwitch(Protocol):
         """Show the pair or the world."""
 
     def set_full_screen(self, full_screen: bool) -> None:
-        """Put the panels away, or back."""
+        """Hide or show the panels."""
 
 
 class Drawn(TypedDict, total=False):
@@ -150,24 +150,24 @@ def _keyframes(opened: Opened | None) -> tuple[Keyframe, ...]:
 
 
 class Desk:
-    """The present state of a session, the requests of its features, and who is told of them.
+    """The present state of a session, the requests of its features, and who is notified of them.
 
-    A change sets the state, and puts the news into a queue. Whoever finds that nobody delivers
-    delivers all of it, and holds no lock meanwhile; others wait until theirs are told. So all
+    A change sets the state, and puts the news into a queue. If no other thread delivers, the
+    caller delivers all of it, without a lock; others wait until theirs are delivered. So all
     features see all news in one order, and a change has reached all of them when it returns.
 
     Attributes:
         host: Whose GUI and scene the session fills.
         bridge: Hears the HTML of the session.
-        canvases: What is known of the pages' canvases.
-        numbers: Takes what is typed into number boxes.
+        canvases: Properties of the pages' canvases.
+        numbers: Receives what is typed into number boxes.
         jobs: Does the work of all features.
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a job must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
         now: The session as it is now; only the desk sets it.
-        features: All that have joined, in the order in which they are told.
-        newer: Gives the open dataset anew if it has more submaps by now; else None.
+        features: All that have joined, in the order in which they are notified.
+        newer: Returns the open dataset anew if it has more submaps by now; else None.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class Desk:
         permissions: Permissions = READ_ALL,
         opened: Opened | None = None,
     ) -> None:
-        """Begin at a state, without features; it is that of what was opened, if that is given."""
+        """Begin at a state, without features; it is that of ``opened``, unless that is None."""
         self.host = host
         self.bridge = Bridge(host)
         self.canvases = Canvases(host, self.bridge)
@@ -200,7 +200,7 @@ class Desk:
 
     @property
     def state(self) -> ViewState:
-        """What pictures are made from now."""
+        """The state that pictures show now."""
         return self.now.view
 
     @property
@@ -220,11 +220,11 @@ class Desk:
         return decided[2]
 
     def join(self, feature: F) -> F:
-        """Tell a feature of everything from now on; returns it."""
+        """Notify a feature of everything from now on; returns it."""
         self.features.append(feature)
         return feature
 
-    # Who is told.
+    # Who is notified.
 
     def update(
         self, change: Callable[[SessionState], SessionState | None], *, deliver: bool = True
@@ -246,7 +246,7 @@ class Desk:
             self.deliver()
 
     def update_pairs(self, change: Callable[[AllPairs], AllPairs]) -> None:
-        """Change what is known of all pairs, and tell all features."""
+        """Change the state of all pairs, and notify all features."""
         with self._changed:
             before, after = self._pairs, change(self._pairs)
             self._pairs = after
@@ -254,20 +254,20 @@ class Desk:
         self.deliver()
 
     def notify(self, news: Callable[[Feature], None]) -> None:
-        """Tell every feature, in the order in which they joined."""
+        """Notify every feature, in the order in which they joined."""
         with self._changed:
             self._news.append(news)
         self.deliver()
 
     def tell_again(self) -> None:
-        """Have all that is set shown anew."""
+        """Show all settings anew."""
         self.update(lambda state: state)
 
     def deliver(self) -> None:
-        """Tell the features of all news so far; what they change themselves is told after that.
+        """Notify the features of all news so far; what they change themselves follows after that.
 
-        If another thread is telling them, it is waited for: whoever changes something may count on
-        that all features know of it.
+        If another thread is notifying them, it is waited for: all features have received a
+        change when it returns.
         """
         me = threading.get_ident()
         with self._changed:
@@ -289,11 +289,11 @@ class Desk:
         for feature in self.features:
             try:
                 news(feature)
-            except Exception:  # the others are told nevertheless
+            except Exception:  # the others are notified nevertheless
                 _log.exception("%s could not take the news", type(feature).__name__)
 
     def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing is to be told or done; says whether that came true in time [s]."""
+        """Wait until nothing is left to deliver or do; returns False if that takes longer [s]."""
 
         def is_idle() -> bool:
             return not (self.jobs.is_busy or self._news or self._teller)
@@ -319,7 +319,7 @@ class Desk:
         moving: bool = False,
         **drawn: Unpack[Drawn],
     ) -> None:
-        """Change what pictures are made from.
+        """Change what pictures show.
 
         Of the pair (query, database), None stays as it is; in the parameters, it is automatic. If
         the state is another than ``only_from`` by now, nothing is changed. While a hand is still
@@ -344,16 +344,16 @@ class Desk:
         self.update(changed)
 
     def release(self, params: PipelineParams) -> None:
-        """Tell at which parameters a hand has let go of a slider.
+        """Set the parameters at which a slider was released.
 
-        A busy page says so late: the state may have others by now.
+        A busy page reports it late: the state may have others by now.
         """
         self.update(lambda now: replace(now, moving=False, released=params))
 
     def resolve(self, state: ViewState, used: PipelineParams) -> None:
-        """Take the numbers that a fit gives for a state's automatic parameters.
+        """Set the numbers that a fit finds for a state's automatic parameters.
 
-        Nothing is changed if other parameters, another method or another dataset are there by now;
+        Nothing is changed if the parameters, the method or the dataset are others by now;
         or another pair, if the numbers are those of the query.
         """
 
@@ -384,7 +384,7 @@ class Desk:
             self.change(reference=None)
 
     def step(self, role: Role, step: int) -> None:
-        """Go to the next (1) or the previous (-1) submap as query or database."""
+        """Select the next (1) or the previous (-1) submap as query or database."""
         state = self.state
         query, database = state.query_id, state.database_id
         if role == "query":
@@ -394,7 +394,7 @@ class Desk:
         self.choose(query, database)
 
     def open(self, opened: Opened) -> None:
-        """Go to another dataset."""
+        """Open another dataset."""
         self.update(
             lambda now: replace(
                 now,
@@ -412,7 +412,7 @@ class Desk:
             self.open(newer)
 
     def present(self) -> Opened:
-        """Give what another session opens to begin with what this one shows."""
+        """What another session opens to begin with what this one shows."""
         now = self.now
         assert now.opened is not None
         saved = SavedSession.of(now.view, decisions=now.decisions, keyframes=now.keyframes)
@@ -430,5 +430,5 @@ class Desk:
         self.update(decided)
 
     def take_back(self) -> None:
-        """Take the last decision back; the first state of them stays."""
+        """Undo the last decision; the first state of them stays."""
         self.update(lambda now: replace(now, decided=now.decided[:-1] or now.decided))

@@ -143,7 +143,7 @@ class Hover(Feature):
         }
 
     def _pin(self, page: viser.ClientHandle, at: CursorMsg) -> None:
-        """Keep what is under a click; on what is kept already, let it go."""
+        """Pin what is under a click; unpin it if it is pinned already."""
         picture = self._pair.picture
         if picture is None or not self._pair.visible:
             return
@@ -200,7 +200,7 @@ class Hover(Feature):
 
 
 def _match_of(result: PairResult, index: int, number: int) -> int | None:
-    """Give an association of a keypoint, an inlier if it has one."""
+    """An association of a keypoint, an inlier if it has one."""
     matches = np.flatnonzero(result.matches.pairs[:, index] == number)
     if not len(matches):
         return None
@@ -218,7 +218,7 @@ def _ends(result: PairResult, keypoint: Keypoint) -> list[tuple[int, int]]:
 def keypoint_spots(
     picture: Picture, result: PairResult, keypoint: Keypoint
 ) -> tuple[Float[Array, "3"], ...]:
-    """Give where a keypoint and its partner are seen in the scene [m]; without those not seen."""
+    """The positions of a keypoint and its partner in the scene [m], unless they are hidden."""
     features = result.features
     spots = [
         picture.keypoint_spots(index, features[index].positions[number : number + 1])[0]
@@ -282,7 +282,7 @@ def gradient_patches(
 
 
 def reading_card(picture: Picture, probe: Probe) -> str:
-    """Write elevation, its standard deviation and slope of a place, in both submaps if known."""
+    """Write elevation, its standard deviation and slope of a place, in both submaps if possible."""
     state, here = picture.state, ROLES.index(probe.role)
     names = f"query {state.query_id}", f"database {state.database_id}"
     if not state.is_pair:

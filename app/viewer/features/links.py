@@ -29,7 +29,7 @@ ACTED = 10.0
 
 
 def add_script(host: Host) -> None:
-    """Put the script of the addresses into the current container, which must not be a tab."""
+    """Add the script of the addresses to the current container, which must not be a tab."""
     script = fill_page_file("links.js", MOST_LETTERS=LONGEST + 1, ACTED_MS=1000 * ACTED)
     host.gui.add_html(inline_script(script))
 
@@ -53,7 +53,7 @@ def link_html(*, has_link: bool) -> str:
 
 
 def tell(page: viser.ClientHandle, title: str, body: str) -> None:
-    """Say something about a link to the page that it concerns."""
+    """Show a note about a link on the page that it concerns."""
     page.add_notification(title, body, auto_close_seconds=12.0, with_close_button=True)
 
 
@@ -241,7 +241,7 @@ def _has_open(link: SavedSession, state: ViewState) -> bool:
 
 
 def _asks_for(link: SavedSession, state: ViewState) -> bool:
-    """Say whether a link asks for what is shown already, scene and camera aside."""
+    """Whether a link leads to what is shown already, scene and camera aside."""
     now = SavedSession.of(state)
     names = "query_id", "database_id", "method", "params", "options", "reference"
     return _has_open(link, state) and all(getattr(link, k) == getattr(now, k) for k in names)

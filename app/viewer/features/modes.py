@@ -1,4 +1,4 @@
-"""The modes: explore all submaps, tune a pair, demonstrate it; which panels and scene are seen."""
+"""The modes: explore all submaps, tune a pair, demonstrate it; which panels and scene are shown."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ GUIDES: dict[Mode, str] = {
     "Tune": "Do the two submaps show the same place? Drag a slider: surfaces and verdict follow.",
     "Demo": "Show it to others with saved views, motion and full screen, or save it as a page.",
 }
-"""What is to be seen in a mode, and what to do next."""
+"""What a mode shows, and what to do next."""
 
 PANEL_WIDTH = 300
 """As viser's own: a dock that is empty for a moment, as in a change of mode, comes back so wide."""
@@ -59,7 +59,7 @@ class Modes(Feature):
         commands: Commands,
         params: viser.GuiFolderHandle,
     ) -> None:
-        """Take over the scenes, the panels, of which one is seen, and the sliders of Tune."""
+        """Set the scenes, the panels, of which one is shown, and the sliders of Tune."""
         self._scenes, self._panels, self._params = (pair, world), panels, params
         for panel in panels.values():
             panel.dock_left()
@@ -79,12 +79,12 @@ class Modes(Feature):
         )
         commands.add("View", "Left panel away, or back", self._put_left_away)
 
-    # What is asked for.
+    # Requests.
 
     def go(self, mode: Mode) -> None:
-        """Go to a mode; Demo keeps what is to be seen.
+        """Set the mode; Demo keeps the scene.
 
-        Tune can choose any pair of a drive that goes on, and knows all that has come.
+        Tune can choose any pair of a drive that goes on, with all that has come.
         """
         subjects: dict[Mode, Subject] = {"Explore": "world", "Tune": "pair"}
         self._turn(lambda now: replace(now, mode=mode, subject=subjects.get(mode, now.subject)))
@@ -96,7 +96,7 @@ class Modes(Feature):
     ) -> None:
         """Show a pair in the mode in which it is tuned.
 
-        Where pages come back to the map, by their numbers, is where they are, or as it is told.
+        Pages, by their numbers, return to the map where they are now, or to ``back_to``.
         """
         self._back_to = back_to or {}
         self._desk.choose(query_id, database_id)
@@ -106,7 +106,7 @@ class Modes(Feature):
         self._turn(lambda now: None if now.subject == subject else replace(now, subject=subject))
 
     def _turn(self, change: Callable[[SessionState], SessionState | None]) -> None:
-        """Change the state and what is seen, before anything else is done, and tell of it."""
+        """Change the state and what is shown, before anything else; notify the features."""
         if self._scenes is None:
             return
         try:
@@ -132,7 +132,7 @@ class Modes(Feature):
             self._desk.leave_reference()
 
     def _put_left_away(self) -> None:
-        """Put the panel of the mode away, or back; the canvas takes its place."""
+        """Hide or show the panel of the mode; the canvas takes its place."""
         away = not self._desk.now.left_away
         self._put_away(away, *self._panels.values())
         self._desk.update(lambda now: replace(now, left_away=away))

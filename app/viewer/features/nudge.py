@@ -92,7 +92,7 @@ class NudgeTab(Feature):
             self._drop()
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Begin where the pair that is shown was found; without one, there is none to move."""
+        """Begin at the motion of the pair that is shown; without one, there is none to move."""
         if isinstance(news, SubmapShown):
             self._shown = None
         elif isinstance(news, PairShown):
@@ -154,7 +154,7 @@ class NudgeTab(Feature):
         return gizmo
 
     def moved_by_hand(self) -> None:
-        """Put the query where the handles are."""
+        """Move the query to the handles."""
         gizmo, shown = self._gizmo, self._shown
         if gizmo is None or shown is None:
             return
@@ -167,9 +167,9 @@ class NudgeTab(Feature):
         self._put(SE2(float(x), float(y), yaw), None, by_hand=True)
 
     def _put(self, motion: SE2, found: Registration | None, *, by_hand: bool) -> None:
-        """Put the query where a motion has it, and tell what was found there.
+        """Move the query to where a motion has it, and report the result there.
 
-        Nothing is where a hand has the handles; wherever else it is, these follow.
+        There is none while the handles are dragged; else these follow the query.
         """
         shown = self._shown
         if shown is None:

@@ -134,7 +134,7 @@ class Session:
         return self.desk.state
 
     def show_presence(self, together: int, alone: int) -> None:
-        """Say how many pages there are: together in one session, or each alone.
+        """Show how many pages there are: together in one session, or each alone.
 
         A page changes between the two by its address, which keeps what it shows.
         """

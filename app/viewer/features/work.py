@@ -1,6 +1,6 @@
-"""Work that takes a while: a lane of jobs that says on a work bar what it does and how it ended.
+"""Work that takes a while: a lane of jobs that shows on a work bar what it does and how it ended.
 
-Files for the pages that ask for them are such work: made by a worker, and sent when they are whole.
+Files that pages request are such work: a worker writes them, and they are sent when complete.
 """
 
 import logging
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def message_of(error: Exception) -> str:
-    """Say what went wrong in one line; an unexpected error goes to the log too."""
+    """What went wrong, in one line; an unexpected error goes to the log too."""
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, OSError) and error.strerror:  # of a path that nobody can have, or a disk
@@ -58,10 +58,10 @@ class Work(Lane[Job, Result]):
         Args:
             jobs: Whose threads do the work.
             bar: Where it says how far it is; its button cancels the work.
-            what: Says what a job does, such as "Fitting"; empty for a job too quick for a bar.
+            what: Names what a job does, such as "Fitting"; empty for a job too quick for a bar.
             work, on_result, slots: See `Lane`. The bar is idle when there is a result.
-            on_cancel: Told of a job that a user has cancelled, before the bar says so.
-            watch: Given how far a job is; and None with the message once it has ended.
+            on_cancel: Called with a cancelled job, before the bar shows that.
+            watch: Called with how far a job is; with None and the message once it has ended.
             phases: The fraction at which each phase ends; see `WorkBar.running`.
         """
 
@@ -109,7 +109,7 @@ class Work(Lane[Job, Result]):
 
 
 Write: TypeAlias = Callable[[Path, Progress], None]
-"""Given where to write a file, and a progress hook."""
+"""Writes a file to a path, and reports its progress."""
 
 
 def safe_name(name: str, otherwise: str) -> str:
@@ -164,7 +164,7 @@ class Downloads(Work[FileOrder, bytes]):
     """Makes one file at a time, and sends it to the page that wants it."""
 
     def __init__(self, jobs: Jobs, bar: WorkBar, slots: Slots) -> None:
-        """Begin at rest; a slot is held while a file is made."""
+        """Begin at rest; a slot is held while a file is written."""
 
         def send(order: FileOrder, content: bytes, seconds: float) -> None:
             send_file(order.page, order.name, content)
