@@ -51,7 +51,7 @@ class Framing(Feature):
         self._subject: Subject = "pair"
         self._framed: tuple[object, ...] | None = None  # what the cameras were brought to
         self._turned = False  # whether the query was turned when they were
-        self._kept = False  # a saved camera shows it instead
+        self._is_saved = False  # a saved camera shows it instead
         self._keep_next = False
         self._refit_until = self._arriving_until = 0.0
         self._shown: PairShown | None = None
@@ -81,7 +81,7 @@ class Framing(Feature):
         with self._lock:
             self._subject = state.subject
             if is_saved or state.subject != before.subject:
-                self._framed, self._kept = self._present(state.view), is_saved
+                self._framed, self._is_saved = self._present(state.view), is_saved
             else:
                 self._frame_if_new(state.view)
             if state.full_screen != before.full_screen:
@@ -114,7 +114,7 @@ class Framing(Feature):
     def look(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Show a page what is shown from where a link has the camera."""
         with self._lock:
-            self._framed, self._kept = self._present(self._desk.state), True
+            self._framed, self._is_saved = self._present(self._desk.state), True
             self._arriving_until = time.monotonic() + ARRIVING
             self._refit_until = 0.0  # the panels may have taken another size just before
             set_view(page, camera)
@@ -124,7 +124,7 @@ class Framing(Feature):
 
     def frame(self, page: viser.ClientHandle | None) -> None:
         """Move the camera of a page, or all, to all that is shown."""
-        self._kept = False
+        self._is_saved = False
         for shown in pages(self._desk.host).values() if page is None else (page,):
             self._frame(shown)
 
@@ -149,9 +149,9 @@ class Framing(Feature):
             placed = state.options.layout != "registered" or self._pair.knows_motion(state)
             if self._subject == "world" or present == self._framed or not placed:
                 return  # the world is framed once it is drawn
-            self._framed, self._kept = present, self._keep_next
+            self._framed, self._is_saved = present, self._keep_next
             self._keep_next, self._turned = False, self._pair.turns(state)
-            if not self._kept:
+            if not self._is_saved:
                 self.frame(None)
 
     def _frame_if_turned(self, state: ViewState) -> None:
@@ -161,7 +161,7 @@ class Framing(Feature):
             if turned == self._turned or self._subject != "pair":
                 return
             self._turned = turned
-            if not self._kept:
+            if not self._is_saved:
                 for page in pages(self._desk.host).values():
                     if not self._desk.canvases.is_by_hand(page):
                         self._frame(page)
@@ -196,7 +196,7 @@ class Framing(Feature):
                 self._desk.canvases.show(page, "full", {"on": self._desk.now.full_screen})
             if time.monotonic() < self._refit_until and not is_new:
                 self._frame(page, from_there=True)
-            elif not self._kept and (is_new or not self._desk.canvases.is_by_hand(page)):
+            elif not self._is_saved and (is_new or not self._desk.canvases.is_by_hand(page)):
                 self._frame(page)
         self._throttle.request(page)
 
@@ -220,7 +220,7 @@ class Framing(Feature):
             self._pair.tall, self._pair.mark_scale = fitting
             # A page that comes by a link says its canvas before its panels cover a part of it. The
             # link's camera is that of the canvas that they leave.
-            arriving = self._kept and time.monotonic() < self._arriving_until
+            arriving = self._is_saved and time.monotonic() < self._arriving_until
             self._keep_next |= arriving and self._subject == "pair"  # the world is not placed anew
             self._desk.tell_again()
 

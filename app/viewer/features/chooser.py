@@ -52,7 +52,7 @@ class Chooser(Feature):
     def __init__(self, desk: Desk) -> None:
         """Add the script to the current container, hidden."""
         self._desk = desk
-        self._told: dict[str, object] = {}
+        self._sent: dict[str, object] = {}
         self._portraits: dict[str, str] = {}  # by fingerprint, as the pages keep them
         script = fill_page_file(
             "chooser.js",
@@ -132,9 +132,9 @@ class Chooser(Feature):
     def _tell(self) -> None:
         """Name the pair on all pages, unless they know it already."""
         data = self._data()
-        if data == self._told:
+        if data == self._sent:
             return
-        self._told = data
+        self._sent = data
         state = self._desk.state
         for page in pages(self._desk.host).values():
             self._show(page, data)

@@ -195,7 +195,7 @@ class Desk:
         self.features: list[Feature] = []
         self._changed = self.jobs.changed
         self._news: deque[Callable[[Feature], None]] = deque()
-        self._num_told = 0
+        self._num_delivered = 0
         self._teller: int | None = None  # the thread that tells the features just now
 
     @property
@@ -273,16 +273,16 @@ class Desk:
         with self._changed:
             if self._teller == me:
                 return
-            end = self._num_told + len(self._news) + (self._teller is not None)
+            end = self._num_delivered + len(self._news) + (self._teller is not None)
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._teller is None or self._num_told >= end)
+                self._changed.wait_for(lambda: self._teller is None or self._num_delivered >= end)
                 if self._teller is not None or not self._news:
                     return
                 self._teller, news = me, self._news.popleft()
             self._tell(news)
             with self._changed:
-                self._teller, self._num_told = None, self._num_told + 1
+                self._teller, self._num_delivered = None, self._num_delivered + 1
                 self._changed.notify_all()
 
     def _tell(self, news: Callable[[Feature], None]) -> None:

@@ -26,7 +26,7 @@ class Node:
         """Prepare the node of that name, which a method of the scene adds, and how it looks."""
         self._add, self._name, self._look = add, name, look
         self._handle: Any = None
-        self._made_from: tuple[object, ...] | None = None
+        self._inputs: tuple[object, ...] | None = None
         self.made: dict[str, Any] = {"": ()}
 
     @property
@@ -43,15 +43,15 @@ class Node:
             self._assign(made)
         self._show()
 
-    def show(self, made_from: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> None:
+    def show(self, inputs: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> None:
         """Show what ``make`` returns, as `put` does.
 
         It is called only if something that the properties depend on has changed. The memo returns
         the same object for the same key, so comparing costs nothing.
         """
-        if made_from != self._made_from:
+        if inputs != self._inputs:
             self.put(**make())
-            self._made_from = made_from
+            self._inputs = inputs
         self._show()
 
     def style(self, **look: Any) -> None:
@@ -61,7 +61,7 @@ class Node:
     def paint(self, colors: Any) -> None:
         """Show other colours (n, 3) until the points are shown anew."""
         if self._handle is not None and len(colors) == self.count > 0:
-            self._made_from = None  # whoever shows them again gets their own colours
+            self._inputs = None  # whoever shows them again gets their own colours
             self._assign({"colors": colors})
 
     def hide(self) -> None:
@@ -127,11 +127,11 @@ class MarksNode:
             )
             for number, widths in enumerate(dict.fromkeys(sizes))
         ]
-        self._made_from: tuple[object, ...] = ()
+        self._inputs: tuple[object, ...] = ()
 
     def show(
         self,
-        made_from: tuple[object, ...],
+        inputs: tuple[object, ...],
         make: Callable[[], Dots],
         *,
         inliers: Rgb,
@@ -144,9 +144,9 @@ class MarksNode:
         [m]; the scale is that of the marks beside `mark_of`.
         """
         marks = [mark_of(kind, inliers) for kind in KINDS]
-        made_from = (*made_from, size, inliers)
-        dots = make() if made_from != self._made_from else None
-        self._made_from = made_from
+        inputs = (*inputs, size, inliers)
+        dots = make() if inputs != self._inputs else None
+        self._inputs = inputs
         for places, (rim, core) in self._discs:
             mark = marks[places[0]]
             rim.style(thickness=scale * mark.rim_width)
@@ -232,8 +232,8 @@ class SubmapNode:
             self._outline.hide()
             return
         corners = place.exaggerated(extent.corners - submap.centre)
-        made_from = submap, place.exaggeration
-        self._outline.show(made_from, lambda: {"points": outline(corners)})
+        inputs = submap, place.exaggeration
+        self._outline.show(inputs, lambda: {"points": outline(corners)})
 
     def _put_label(self) -> None:
         """Write the name at that corner of the box round the outline which is the outer one.

@@ -58,7 +58,7 @@ class Following:
         with it and its parameters. The track is written anew after each submap.
         """
         self.drive: Drive | None = None
-        self._asked, self._say, self._source = asked, say, source
+        self._requested, self._say, self._source = asked, say, source
         self._ends = contextlib.ExitStack()
         self._memo: Memo | None = None
         self._name = record.stem if record is not None else Path(source.name).name
@@ -109,7 +109,7 @@ class Following:
         assert drive is not None
         assert settings is not None
         dataset = Dataset(settings.name, drive.submaps)
-        return Opened(dataset, self._asked, "", None, settings.params, drive)
+        return Opened(dataset, self._requested, "", None, settings.params, drive)
 
     def close(self) -> None:
         """Stop: what has come is in the record, and the next run goes on with it."""
@@ -118,7 +118,7 @@ class Following:
             self.drive.close()
 
     def _settings(self, first: Submap) -> RunSettings:
-        used = resolve_parameters([first], self._asked, self._memo or Memo(0))
+        used = resolve_parameters([first], self._requested, self._memo or Memo(0))
         return RunSettings(self._name, used, candidates=CANDIDATES, incremental=True)
 
     def _compare(self, submap: Submap, progress: Progress) -> Corrected:

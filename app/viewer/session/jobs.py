@@ -357,17 +357,17 @@ class Throttle(Lane[None, None], Generic[Key]):
         """Begin at rest; it pauses after each round [s], and an error in an act is logged."""
         super().__init__(jobs, self._serve, _nothing, _nothing, pause=pause)
         self._act = act
-        self._asked: dict[Key, None] = {}
+        self._requested: dict[Key, None] = {}
 
     def request(self, key: Key) -> None:
         """Request an act for a key; returns at once."""
         with self._changed:
-            self._asked[key] = None
+            self._requested[key] = None
             self.submit(None)
 
     def _serve(self, _job: None, _progress: Progress) -> None:
         with self._changed:
-            asked, self._asked = self._asked, {}
+            asked, self._requested = self._requested, {}
         for key in asked:
             if self.jobs.closing:
                 return

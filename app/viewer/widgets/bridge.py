@@ -71,7 +71,7 @@ class Bridge:
         self.folder = host.gui.add_folder("Bridge")
         with self.folder:
             self._box = host.gui.add_text("bridge", "")
-            self._told = {name: host.gui.add_html(_written(name)) for name in NEWEST}
+            self._newest = {name: host.gui.add_html(_written(name)) for name in NEWEST}
         self._script = host.gui.add_html("")
         self._script.content = self._hidden_script()
         self._numbers = count(1)
@@ -104,8 +104,8 @@ class Bridge:
         it once it is there. The names in `NEWEST` do not wait for the scene; a page whose panels
         are hidden does not receive them.
         """
-        if name in self._told:
-            uuid = state_of(self._told[name]).uuid
+        if name in self._newest:
+            uuid = state_of(self._newest[name]).uuid
             text = _written(name, next(self._numbers), data)
             send_to(page, messages.GuiUpdateMessage(uuid, {"content": text}))
             return

@@ -62,7 +62,7 @@ class Canvases:
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
         self._bridge = bridge
-        self._known: weakref.WeakKeyDictionary[viser.ClientHandle, Canvas] = (
+        self._canvases: weakref.WeakKeyDictionary[viser.ClientHandle, Canvas] = (
             weakref.WeakKeyDictionary()
         )
         self._dark: weakref.WeakKeyDictionary[viser.ClientHandle, bool] = (
@@ -74,7 +74,7 @@ class Canvases:
         self._brought: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[Camera, ...]] = (
             weakref.WeakKeyDictionary()
         )
-        self._told: list[OnCanvas] = []
+        self._listeners: list[OnCanvas] = []
         self.caption: dict[str, str] = {}
         self.scales: dict[str, Scale | None] = {}
         self.legends: dict[str, str] = {}
@@ -87,11 +87,11 @@ class Canvases:
 
     def tell(self, act: OnCanvas) -> None:
         """Call something whenever a page's canvas is there, or becomes another; must be quick."""
-        self._told.append(act)
+        self._listeners.append(act)
 
     def of(self, page: viser.ClientHandle) -> Canvas:
         """The canvas of a page, or a usual one until the page reports its own."""
-        canvas = self._known.get(page, UNKNOWN_CANVAS)
+        canvas = self._canvases.get(page, UNKNOWN_CANVAS)
         if not self.presents:
             return canvas
         # Without its panels a page says nothing: how high the words are follows from story.js.
@@ -99,7 +99,7 @@ class Canvases:
 
     def knows(self, page: viser.ClientHandle) -> bool:
         """Whether a page has reported how large its canvas is."""
-        return page in self._known
+        return page in self._canvases
 
     def is_dark(self, page: viser.ClientHandle) -> bool:
         """Whether a page is dark; True before it has reported that."""
@@ -133,7 +133,7 @@ class Canvases:
         The camera counts other pixels than the page, so that only the shape is certain. The legend
         stays as high as it was.
         """
-        canvas = self._known.get(page)
+        canvas = self._canvases.get(page)
         aspect = page.camera.aspect
         if canvas is None or abs(aspect / canvas.aspect - 1.0) < 0.02:  # pixels are whole
             return
@@ -150,8 +150,8 @@ class Canvases:
             self._set(page, canvas)
 
     def _set(self, page: viser.ClientHandle, canvas: Canvas) -> None:
-        self._known[page] = canvas
-        for act in self._told:
+        self._canvases[page] = canvas
+        for act in self._listeners:
             act(page)
 
 

@@ -123,7 +123,7 @@ class Numbers:
         script = fill_page_file("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES, DIGITS=DIGITS)
         style = f"<style>{fill_page_file('numbers.css')}</style>"
         host.gui.add_html(style + inline_script(script))
-        self._told = host.gui.add_html("")
+        self._sent = host.gui.add_html("")
         bridge.on_message("typed", Typed, self._hear_typed)
         bridge.on_message("rested", Rested, self._hear_rested)
         bridge.on_message("way-back", Pressed, self._hear_pressed)
@@ -171,7 +171,7 @@ class Numbers:
             for each in (self.chips, self.strips)
         )
         told = json.dumps({"decades": self._decades, "chips": chips, "strips": strips})
-        self._told.content = inline_script(f"window.gpgradSliders={told};window.gpgradNumbers?.()")
+        self._sent.content = inline_script(f"window.gpgradSliders={told};window.gpgradNumbers?.()")
 
     def _hear_pressed(self, page: viser.ClientHandle, pressed: Pressed) -> None:
         del page

@@ -58,7 +58,7 @@ def test_the_read_out_follows_the_cursor() -> None:
                 return float(np.median(waits))
 
             beside = median_wait(0.5)
-            viewer.sessions[0].desk.bridge._told.clear()  # pyright: ignore[reportPrivateUsage]
+            viewer.sessions[0].desk.bridge._newest.clear()  # pyright: ignore[reportPrivateUsage]
             between = median_wait(0.45)  # the same, said between two pictures
     finally:
         viewer.close()

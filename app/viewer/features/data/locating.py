@@ -61,7 +61,7 @@ class LocateTool(Feature):
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._found: Located | None = None
+        self._located: Located | None = None
         gui, allowed = desk.host.gui, desk.permissions
         with gui.add_folder("Locate on an elevation model", expand_by_default=False):
             self._path = gui.add_text(
@@ -100,7 +100,7 @@ class LocateTool(Feature):
             self.bar,
             lambda job: f"Searching {Path(job.name).name}",
             self._locate,
-            self._on_found,
+            self._on_located,
             slots=desk.capacity.long,
         )
         self._downloads = Downloads(desk.jobs, self.bar, desk.capacity.long)
@@ -168,23 +168,23 @@ class LocateTool(Feature):
 
     # What came of it.
 
-    def _on_found(self, job: Job, found: "Located", _seconds: float) -> None:
+    def _on_located(self, job: Job, found: "Located", _seconds: float) -> None:
         if job.state.dataset is self._desk.state.dataset:
             self._tell(found)
 
     def _tell(self, found: "Located | None") -> None:
-        self._found = found
+        self._located = found
         self.result.content = "" if found is None else found_html(found)
         self._save.visible = found is not None
         self._show.visible = found is not None and bool(found.accepted)
 
     def _open(self) -> None:
-        if self._found is not None:
-            dataset = self._found.shown()
+        if self._located is not None:
+            dataset = self._located.shown()
             self._desk.open(Opened(dataset, preferred_parameters(dataset, PipelineParams()), ""))
 
     def _download(self, page: viser.ClientHandle) -> None:
-        found = self._found
+        found = self._located
         if found is not None:
             name = f"{safe_name(found.dataset.name, 'dataset')}-located.json"
             self._downloads.order(page, name, lambda path, _progress: found.write(path))

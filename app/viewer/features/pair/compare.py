@@ -263,7 +263,7 @@ class CompareTool(Feature):
         self._of_b = OneSided(host, PAIR, INLIER, "square", dashed=False)
         self._line = lines_node(host, f"{PAIR}/divide", BACK, 2.0)
         # The last result for A, and for which pair and setting; and how it is drawn.
-        self._found: tuple[tuple[object, ...], ViewState, PairResult] | None = None
+        self._of_reference: tuple[tuple[object, ...], ViewState, PairResult] | None = None
         self._drawn: tuple[object, ...] = ()
         self._lane: Lane[ViewState, tuple[ViewState, PairResult]] = Lane(
             desk.jobs, self._compute, self._on_result, self._on_error, slots=desk.capacity.pictures
@@ -282,7 +282,9 @@ class CompareTool(Feature):
         """Compute A once B is shown, if its pair or setting is another."""
         if isinstance(news, PairShown) and self._scene.is_split:
             subject = _subject_of(news.state)
-            if subject[-1] is not None and (self._found is None or self._found[0] != subject):
+            if subject[-1] is not None and (
+                self._of_reference is None or self._of_reference[0] != subject
+            ):
                 self._lane.submit(news.state)
 
     def close(self) -> None:
@@ -298,7 +300,7 @@ class CompareTool(Feature):
         return state, judged_pair(self._desk, state, memo, progress)
 
     def _on_result(self, view: ViewState, found: tuple[ViewState, PairResult], _s: float) -> None:
-        self._found = _subject_of(view), *found
+        self._of_reference = _subject_of(view), *found
         self._desk.tell_again()
 
     def _on_error(self, _view: ViewState, error: Exception) -> None:
@@ -306,7 +308,7 @@ class CompareTool(Feature):
 
     def _join(self, picture: Picture) -> bool:
         """Draw A beside a picture of B, and what differs; says whether there is an A for it."""
-        found, result, legends = self._found, picture.result, self._desk.canvases.legends
+        found, result, legends = self._of_reference, picture.result, self._desk.canvases.legends
         if (
             not self._scene.is_split
             or result is None

@@ -111,8 +111,8 @@ class AssociationNodes:
             )
             if wanted:
                 how = placements, inliers, size / 2, options.all_lines
-                made_from = (result.matches, result.registration, *result.maps, *how)
-                lines.show(made_from, lambda how=how: {"points": match_lines(result, *how)})
+                inputs = (result.matches, result.registration, *result.maps, *how)
+                lines.show(inputs, lambda how=how: {"points": match_lines(result, *how)})
             else:
                 lines.hide()
         self._show_match(picture, result, size)

@@ -361,7 +361,8 @@ class PairScene:
         placed = place_pair(state, layout, motion, level, tall=self.tall)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
-        submaps, boxed = (state.query, state.database), state.options.frames
+        # Beside another picture, a heading stands behind the box.
+        submaps, boxed = (state.query, state.database), state.options.frames or self.is_split
         hulls = [self._memo(hull_of, submap, boxed) for submap in submaps]
         seen = np.concatenate([at.apply(hull) for at, hull in zip(placed, hulls, strict=True)])
         if self.is_split:

@@ -137,9 +137,9 @@ class PictureStatus:
             lambda _, error: self.failed(message_of(error)),
             rest=LONG,
         )
-        self._said = "Starting …", BUSY, "", ""
+        self._message = "Starting …", BUSY, "", ""
         self._refusal, self._refused_at = "", -math.inf
-        self._handle = host.gui.add_html(status_html(*self._said))
+        self._handle = host.gui.add_html(status_html(*self._message))
         # Apart, for a button that is written anew between press and release is not pressed.
         self._cancel = host.gui.add_html("")
         bridge.hear(CANCEL, lambda page, data: on_cancel())  # noqa: ARG005
@@ -226,7 +226,7 @@ class PictureStatus:
     def refused(self, message: str) -> None:
         """Show why a value was refused; the picture is what it was, and so is the rest."""
         with self._lock:
-            text, title = self._said[0], self._said[2]
+            text, title = self._message[0], self._message[2]
             if title == NOT_TAKEN:
                 text = text.removeprefix(self._refusal).removeprefix(" · ")
             self._refusal, self._refused_at = message, time.monotonic()
@@ -259,8 +259,8 @@ class PictureStatus:
         with self._lock:
             if self._refusal and not title:
                 text, color, title = f"{self._refusal} · {text}", BAD, NOT_TAKEN
-            self._said = text, color, title, hint
-            self._handle.content = status_html(*self._said, self._drawn)
+            self._message = text, color, title, hint
+            self._handle.content = status_html(*self._message, self._drawn)
 
     def _draw_bar(self) -> None:
         """Show how far it is and a button to cancel it, because it takes long.
@@ -273,7 +273,7 @@ class PictureStatus:
             if not self._busy or (drawn is not None and abs(fraction - drawn) < BAR_STEP):
                 return
             self._drawn = fraction
-            self._handle.content = status_html(*self._said, fraction)
+            self._handle.content = status_html(*self._message, fraction)
             self._cancel.content = CANCEL_BUTTON
 
     def _tell_if_late(self) -> None:

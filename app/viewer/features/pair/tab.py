@@ -251,13 +251,13 @@ class PairTab(Feature):
         ):
             return None
         self._stood_in = state
-        return Shown(self._made(state, progress), "fit due")
+        return Shown(self._picture_of(state, progress), "fit due")
 
     def compute(self, state: ViewState, progress: Progress) -> Shown:
         """Register the pair, and show all that comes of it."""
         if state.resolved:
             self._fitted = state
-            return Shown(self._made(state, progress))
+            return Shown(self._picture_of(state, progress))
         submaps, memo = state.dataset.submaps, self._desk.memo
         resolve = METHODS[state.method].resolve
         told = self._status.reported(progress)
@@ -269,7 +269,7 @@ class PairTab(Feature):
         self._desk.resolve(state, resolve(submaps, state.query, state.asked, memo, told))
         raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
 
-    def _made(self, state: ViewState, progress: Progress) -> Picture:
+    def _picture_of(self, state: ViewState, progress: Progress) -> Picture:
         told = self._status.reported(progress)
         if not state.is_pair:
             params = map_params(state.query, state.given, self._status.memo, told, state.method)

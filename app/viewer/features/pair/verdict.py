@@ -111,7 +111,7 @@ class VerdictCard:
     """A card of fixed height that is rewritten with each result, and its figures."""
 
     def __init__(self, host: Host) -> None:
-        self._told: tuple[ViewState, PairResult | None] | None = None  # no result of no pair
+        self._shown_for: tuple[ViewState, PairResult | None] | None = None  # no result of no pair
         self._moved, self._stale, self._decisions = False, "", Decisions()
         self._faded = False
         self._lock = threading.RLock()  # a timer may fade it while a result comes
@@ -135,7 +135,7 @@ class VerdictCard:
         It is grey if another is coming, and says what is done for that.
         """
         with self._lock:
-            self._told = state, result
+            self._shown_for = state, result
             self._faded, self._stale = False, coming
             self._write()
 
@@ -153,9 +153,9 @@ class VerdictCard:
     def wait_for(self, state: ViewState) -> None:
         """Fade the card unless it tells what a state asks for; of another pair nothing stays."""
         with self._lock:
-            if self._told is not None and not same_pair(self._told[0], state):
-                self._told = None
-            if self._told is None or not same_verdict(self._told[0], state):
+            if self._shown_for is not None and not same_pair(self._shown_for[0], state):
+                self._shown_for = None
+            if self._shown_for is None or not same_verdict(self._shown_for[0], state):
                 self.outdate("computing …")
 
     def outdate(self, why: str) -> None:
@@ -165,7 +165,7 @@ class VerdictCard:
             self._write()
 
     def _write(self) -> None:
-        state, result = self._told or (None, None)
+        state, result = self._shown_for or (None, None)
         look: dict[str, Any] = {"faded": self._faded, "stale": self._stale}
         figures = framed("figures", "", FIGURES_HEIGHT)
         if state is None:

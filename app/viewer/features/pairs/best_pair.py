@@ -121,7 +121,7 @@ class BestPair(Feature):
         self._runner: Lane[_Search, _Best] = Lane(
             desk.jobs,
             self._search,
-            self._on_found,
+            self._on_best,
             self._on_error,
             slots=desk.capacity.long,
         )
@@ -274,7 +274,7 @@ class BestPair(Feature):
             self._tell(job, f"The likeliest pairs are being scored: {number} of {len(others)} …")
             yield pair
 
-    def _on_found(self, job: _Search, outcome: _Best, _seconds: float) -> None:
+    def _on_best(self, job: _Search, outcome: _Best, _seconds: float) -> None:
         if not self._end(job):
             return  # somebody has acted
         best, num_scored = outcome

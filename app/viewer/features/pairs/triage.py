@@ -350,9 +350,9 @@ class TriageTab(Feature):
         """Make the next picture that is missing; says whether there was one."""
         memo = self._desk.memo
         for entry in listing.page:
-            made_from = _made_from(listing.state, entry)
-            if not memo.holds(_picture, *made_from):
-                memo(_picture, *made_from, memo=memo, progress=progress)
+            inputs = _inputs_of(listing.state, entry)
+            if not memo.holds(_picture, *inputs):
+                memo(_picture, *inputs, memo=memo, progress=progress)
                 return True
         return False
 
@@ -380,11 +380,11 @@ class TriageTab(Feature):
             f"{count(undecided, 'pair')} wait{'s' * (undecided == 1)} for a decision. {decided}.",
             "font-weight:600",
         )
-        made_from = [_made_from(listing.state, entry) for entry in listing.page]
+        inputs = [_inputs_of(listing.state, entry) for entry in listing.page]
         memo = self._desk.memo
         pictures = [
             png_uri(memo(_picture, *each, memo=memo)) if memo.holds(_picture, *each) else None
-            for each in made_from
+            for each in inputs
         ]
         content = _list_html(listing, pictures)
         if self.list.content != content:
@@ -398,10 +398,10 @@ class TriageTab(Feature):
         self.message.content = message_line("triage-message", message, BAD if bad else GOOD)
 
 
-_MadeFrom: TypeAlias = tuple[Submap, Submap, SE2 | None, MethodName, MapParams, float]
+_Inputs: TypeAlias = tuple[Submap, Submap, SE2 | None, MethodName, MapParams, float]
 
 
-def _made_from(state: ViewState, entry: ListedPair) -> _MadeFrom:
+def _inputs_of(state: ViewState, entry: ListedPair) -> _Inputs:
     """What the picture of a pair depends on."""
     query, database = map(state.dataset.submap, entry.pair)
     motion = entry.closure.registration.T_database_query

@@ -39,7 +39,7 @@ class NoiseTool(Feature):
 
     def __init__(self, desk: Desk) -> None:
         self._host = desk.host
-        self._asked: _Job | None = None
+        self._requested: _Job | None = None
         with desk.host.gui.add_folder("Noise over range", expand_by_default=False):
             self._chart = desk.host.gui.add_html(paragraph("Shown with the next map."))
         self._runner: Lane[_Job, NoiseOverRange] = Lane(
@@ -60,22 +60,22 @@ class NoiseTool(Feature):
 
     def _ask(self, state: ViewState, submaps: tuple[Submap, ...]) -> None:
         if METHODS[state.method].fits_each or not state.params.map.has_numbers:
-            self._asked = None
+            self._requested = None
             self._chart.content = paragraph(NOTHING)
             return
         job = submaps, state.params.map.terrain
-        if job != self._asked:
-            self._asked = job
+        if job != self._requested:
+            self._requested = job
             self._runner.submit(job)
 
     def _on_result(self, job: _Job, found: NoiseOverRange, seconds: float) -> None:
         del seconds
-        if job == self._asked:
+        if job == self._requested:
             self._chart.content = noise_html(found, job[1])
             self._host.flush()
 
     def _on_error(self, job: _Job, error: Exception) -> None:
-        if job == self._asked:
+        if job == self._requested:
             self._chart.content = message_line("noise-error", message_of(error), QUIET)
             self._host.flush()
 

@@ -61,7 +61,9 @@ class SaveTab(Feature):
         self._desk = desk
         self._open = restore
         self._lock = threading.Lock()
-        self._asked: tuple[str, SavedSession] | None = None  # file and content to be confirmed
+        self._unconfirmed: tuple[str, SavedSession] | None = (
+            None  # file and content to be confirmed
+        )
         gui = desk.host.gui
         self._command = gui.add_html("")
         save = gui.add_button(
@@ -114,7 +116,7 @@ class SaveTab(Feature):
             self._tell(str(error), bad=True)
             return
         with self._lock:
-            self._asked = name, saved
+            self._unconfirmed = name, saved
         choices = "".join(
             button(label, send("restore", sure=sure), "margin:.3em .5em 0 0")
             for label, sure in (("Replace it", True), ("Keep it", False))
@@ -127,7 +129,7 @@ class SaveTab(Feature):
 
     def _answer(self, _page: viser.ClientHandle, answer: RestoreChoice) -> None:
         with self._lock:
-            asked, self._asked = self._asked, None
+            asked, self._unconfirmed = self._unconfirmed, None
         if asked is None:
             return
         name, saved = asked

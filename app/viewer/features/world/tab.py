@@ -99,7 +99,7 @@ class WorldTab(Feature):
         self._desk, self._modes, self._host = desk, modes, desk.host
         self._lock = threading.Lock()
         self._state = desk.state
-        self._wanted = World.of(desk.state.dataset)
+        self._target = World.of(desk.state.dataset)
         self.world: World | None = None
         self._inferred = _Inferred()
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
@@ -115,7 +115,7 @@ class WorldTab(Feature):
             self._bar = WorkBar(desk.host, "Cancel maps", "world")
 
         self._options = Panel(
-            desk.host, self._wanted.options, self._change, below={"color": add_legend}
+            desk.host, self._target.options, self._change, below={"color": add_legend}
         )
         self._chosen: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "Submap",
@@ -182,7 +182,7 @@ class WorldTab(Feature):
         with self._lock:
             self._state = now
             if another:
-                self._wanted, self._place = World.of(now.dataset, self._wanted.options), None
+                self._target, self._place = World.of(now.dataset, self._target.options), None
         if another:
             self._offer()
             self._show_selected()
@@ -216,7 +216,7 @@ class WorldTab(Feature):
             self._leave_past()
         solved = correction.graph is not None
         with self._lock:
-            wanted = replace(self._wanted, correction=correction)
+            wanted = replace(self._target, correction=correction)
             poses = wanted.options.poses
             if relax and solved:
                 poses = "corrected"
@@ -224,37 +224,37 @@ class WorldTab(Feature):
                 poses = wanted.pose_sources[0]
             options = replace(wanted.options, poses=poses)
             share = 1.0 if relax or not solved else wanted.share
-            self._wanted = replace(wanted, options=options, share=share)
+            self._target = replace(wanted, options=options, share=share)
         self._offer()
         self._show_selected()
         self._submit(relaxing=relax)
 
     def relax(self) -> None:
         """Show again how the submaps move from odometry to the corrected poses."""
-        self.correct(self._wanted.correction, relax=True)
+        self.correct(self._target.correction, relax=True)
 
     def move_to(self, share: float) -> None:
         """Move the map from before the pose graph (0) to after it (1)."""
-        options = replace(self._wanted.options, poses="corrected")
+        options = replace(self._target.options, poses="corrected")
         if self.graph is None:
             return
-        if self._wanted.options != options:
+        if self._target.options != options:
             self._want(share=share, options=options)
             self._offer()
         else:
             with self._lock:
-                self._wanted = replace(self._wanted, share=share)
+                self._target = replace(self._target, share=share)
         self._mover.submit(share)
 
     def show_past(self, past: Past | None) -> None:
         """Show what there was at some time of a drive, or the whole again."""
-        turns = (past is None) != (self._wanted.past is None)
+        turns = (past is None) != (self._target.past is None)
         self._want(past=past)
         if turns:
             self._offer()
 
     def set_loops_shown(self, *, loops: bool, refused: bool) -> None:
-        self._want(options=replace(self._wanted.options, loops=loops, refused=refused))
+        self._want(options=replace(self._target.options, loops=loops, refused=refused))
 
     def select(self, name: str | None) -> None:
         """Choose a submap to look at, or none."""
@@ -263,7 +263,7 @@ class WorldTab(Feature):
 
     @property
     def graph(self) -> OptimisedGraph | None:
-        return self._wanted.correction.graph
+        return self._target.correction.graph
 
     def is_drawn(self, timeout: float) -> bool:
         """Wait until the last wish is drawn; says whether that came true within the timeout [s]."""
@@ -273,12 +273,12 @@ class WorldTab(Feature):
 
     def _want(self, **changes: Any) -> None:
         with self._lock:
-            self._wanted = replace(self._wanted, **changes)
+            self._target = replace(self._target, **changes)
         self._submit()
 
     def _change(self, options: WorldOptions) -> None:
-        if self._wanted.past is not None and options.poses == THEN:
-            options = replace(options, poses=self._wanted.options.poses)
+        if self._target.past is not None and options.poses == THEN:
+            options = replace(options, poses=self._target.options.poses)
         else:
             self._leave_past()
         self._want(options=options)
@@ -286,12 +286,12 @@ class WorldTab(Feature):
 
     def _leave_past(self) -> None:
         """Show the latest state, because its poses are to be shown."""
-        if self._wanted.past is not None:
+        if self._target.past is not None:
             self._desk.notify(lambda feature: feature.on_drive("latest wanted"))
 
     def _offer(self) -> None:
         """Show the options, and what there is to choose from."""
-        wanted = self._wanted
+        wanted = self._target
         options, sources = wanted.options, wanted.pose_sources
         if wanted.past is not None:
             options = replace(options, poses=THEN)
@@ -310,11 +310,11 @@ class WorldTab(Feature):
         if not self._is_seen:
             return
         with self._lock:
-            job = _Drawing(self._state, self._wanted, relaxing)
+            job = _Drawing(self._state, self._target, relaxing)
         self._work.start(job)
 
     def _step(self, step: int) -> None:
-        ids, selected = list(self._state.dataset.index), self._wanted.selected
+        ids, selected = list(self._state.dataset.index), self._target.selected
         if selected in ids:
             self._pick(ids[(ids.index(selected) + step) % len(ids)])
         else:
@@ -324,7 +324,7 @@ class WorldTab(Feature):
         """Choose a submap, and its likeliest pair: the verdict beside the world is of that."""
         self.select(name)
         if name is not None:
-            own = likely(loop for loop in self._wanted.correction.loops if name in loop.pair)
+            own = likely(loop for loop in self._target.correction.loops if name in loop.pair)
             # Before pairs are compared, the nearest submap that is no neighbour on the way.
             pair = own[0].pair if own else closest_pair(self._state.dataset, of=name)
             if pair is not None:
@@ -332,7 +332,7 @@ class WorldTab(Feature):
 
     def _tune(self, role: str) -> None:
         """Show the chosen submap in Tune, with the submap that has the other role there."""
-        state, chosen = self._state, self._wanted.selected
+        state, chosen = self._state, self._target.selected
         if chosen is None:
             return
         query, database = state.query_id, state.database_id
@@ -377,7 +377,7 @@ class WorldTab(Feature):
         return (name,), f"<b>Submap {escape(name)}</b> · {words}"
 
     def _look_at(self, page: viser.ClientHandle) -> None:
-        selected = self._wanted.selected
+        selected = self._target.selected
         if selected is not None:
             camera = self.scene.camera(self._desk.canvases.of(page), names=(selected,))
             if camera is not None:
@@ -531,7 +531,7 @@ class WorldTab(Feature):
             self.scene.mark(self.rail.show_place(terrain, self._place))
         self._desk.canvases.legends["world"] = map_legend(world, self.scene.scale)
         self._desk.notify(lambda feature: feature.on_drive("drawn"))
-        if self._wanted.selected is not None:  # its map may be another
+        if self._target.selected is not None:  # its map may be another
             self._show_selected()
 
     def _show_drawn(self, job: _Drawing, world: World) -> None:
@@ -561,7 +561,7 @@ class WorldTab(Feature):
 
     def _show_selected(self) -> None:
         with self._lock:  # another may be chosen right now
-            name = self._wanted.selected
+            name = self._target.selected
             self._chosen.value = NOTHING if name is None else name
             self._look.visible = self._roles.visible = name is not None
             self._figures.content = (
@@ -573,7 +573,7 @@ class WorldTab(Feature):
 
     def _figures_of(self, name: str) -> tuple[tuple[str, str], ...]:
         dataset = self._state.dataset
-        submap, poses = dataset.submap(name), self._wanted.correction.corrected or {}
+        submap, poses = dataset.submap(name), self._target.correction.corrected or {}
         corrected = poses.get(name)
         at_origin = corrected and shifted(corrected, -submap.centre)
         rows = figures_of(submap, at_origin, positions_only=dataset.positions_only)
