@@ -15,7 +15,7 @@
   // Where a caption of the scene may lie behind it, only the letters have a ground.
   const halo = 'text-shadow:' + Array(4).fill('0 0 2px var(--gg-bg)') + ';';
   const over = make(document.body, 'position:fixed;pointer-events:none;z-index:1;overflow:hidden;' +
-    'color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
+    'container-type:inline-size;color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
   over.dataset.testid = 'over-canvas';
   // What is lit up on the map lies below all that is written.
   const lit = over.appendChild(document.createElementNS('http://www.w3.org/2000/svg', 'svg'));

@@ -23,8 +23,8 @@
     // A mouse has the arrows when it is there; a finger cannot come near without pressing.
     '@media (hover:hover) and (min-width:641px){' +
     '[data-testid=pair-strip]:not(:hover,:focus-within) [data-step]{opacity:0}}' +
-    // Between two panels there is room for the names alone, as on a phone on its side.
-    '@media (min-width:641px) and (max-width:900px){' +
+    // Beside panels or the matrix there may be room for the names alone.
+    '@container (max-width:380px){' +
     '[data-testid=pair-strip] :is([data-step],[data-portrait]){display:none!important}}';
   const chevron = way => '<svg width="12" height="20" viewBox="-6 -10 12 20" fill="none" ' +
     `stroke="currentColor" stroke-width="2"><path d="M${-3 * way}-6L${3 * way} 0L${-3 * way} 6"/></svg>`;

