@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import atan, degrees, hypot
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -41,7 +40,7 @@ from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import difference_in_words
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration, Submap
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration
 
 MAX_SURFELS = 200_000
 """Of one surface; a finer map is drawn at every second cell, or third, …"""
@@ -302,17 +301,6 @@ def place_pair(
 def corners_of(placed: tuple[tuple[Box, Placement], ...]) -> Float[NDArray[np.float64], "k 3"]:
     """The corners of the outlines of boxes in the scene [m]."""
     return np.concatenate([placement.apply(box.corners) for box, placement in placed])
-
-
-def hull_of(submap: Submap, boxed: bool) -> Float[NDArray[np.float64], "k 3"]:
-    """The corners of what is shown of a submap [m]: of its box, or of the ground in it."""
-    box = Box.of(submap)
-    if boxed:
-        return box.all_corners
-    level = (submap.points - submap.centre)[:, :2].astype(np.float32)
-    rim = cv2.convexHull(level)[:, 0] + submap.centre[:2]
-    ends = [np.column_stack([rim, np.full(len(rim), z)]) for z in (box.low[2], box.high[2])]
-    return np.concatenate(ends)
 
 
 def boxes_of(state: ViewState) -> tuple[Box, Box]:

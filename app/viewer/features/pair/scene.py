@@ -15,7 +15,6 @@ from app.viewer.features.pair.picture import (
     boxes_of,
     compose,
     corners_of,
-    hull_of,
     place_pair,
     surfels_of,
 )
@@ -28,6 +27,7 @@ from app.viewer.scene.placement import (
     Canvas,
     HeightFrame,
     Placement,
+    all_corners_of,
     beside,
     frame_camera,
     glide,
@@ -361,12 +361,10 @@ class PairScene:
         placed = place_pair(state, layout, motion, level, tall=self.tall)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
-        # Beside another picture, a heading stands behind the box.
-        submaps, boxed = (state.query, state.database), state.options.frames or self.is_split
-        hulls = [self._memo(hull_of, submap, boxed) for submap in submaps]
-        seen = np.concatenate([at.apply(hull) for at, hull in zip(placed, hulls, strict=True)])
+        boxes = tuple(zip(boxes_of(state), placed, strict=True))
+        seen = all_corners_of(boxes)  # at which names stand, though frames may not be shown
         if self.is_split:
-            corners = corners_of(tuple(zip(boxes_of(state), placed, strict=True)))
+            corners = corners_of(boxes)
             way = beside(corners, corners, self.stacks(layout))
             seen = np.concatenate([seen, seen + np.array([*way, 0.0])])
         return frame_camera(seen, canvas, forward=forward, parallel=parallel)
