@@ -193,7 +193,7 @@ def decide_by_keys(page: "ViewerPage") -> None:
 
 
 @pytest.mark.slow
-def test_all_pairs_are_run_judged_decided_and_stepped_through(open_viewer: Open) -> None:
+def test_all_pairs_are_run_judged_and_decided(open_viewer: Open) -> None:
     page = open_viewer()
     page.tab("All pairs")
     page.press("Run all pairs")
@@ -209,6 +209,4 @@ def test_all_pairs_are_run_judged_decided_and_stepped_through(open_viewer: Open)
     click_a_mark(page)
     drag_threshold(page)
     click_a_cell(page)
-    expect_change(page, lambda: page.press("next"))
-    assert page.pair() != ("006", "002")
     decide_by_keys(page)
