@@ -224,8 +224,7 @@
     const high = box.height - found.top - found.bottom;
     if (remark) remark.style.display = high < 450 ? 'none' : '';
     const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
-    legend.style.maxWidth = lift ? 'calc(100% - 140px)' :
-      narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale, or the axes
+    legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
     // In a narrow and low canvas only the colour bar stands beside the scale, and words above it.
     const beside = 2 * (scale.offsetLeft + scale.offsetWidth + 8);
     legend.style.setProperty('--bar', narrow && !lift ? over.clientWidth - beside + 'px' : '100%');
