@@ -22,7 +22,6 @@ INLIER = (70, 196, 110)
 REFUSED_INLIER = (236, 178, 40)
 OUTLIER = (186, 36, 58)
 """Far darker than inliers, so that eyes that see no red and no green tell them apart."""
-UNMATCHED = (120, 120, 120)
 INK, PAPER = (18, 20, 24), (250, 248, 244)
 """Of marks: each has both, and so is visible on light and on dark ground."""
 CHOSEN = (0, 200, 230)

@@ -373,34 +373,30 @@ def glide(
     return replace(turned, x=x, y=y, z=z + hop), at
 
 
-def all_corners_of(placed: tuple[tuple[Box, Placement], ...]) -> Float[Array, "n 3"]:
-    """The corners of boxes in the scene [m]."""
-    return np.concatenate([placement.apply(box.all_corners) for box, placement in placed])
-
-
 def frame_camera(
-    corners: Float[Array, "n 3"],
+    boxes: tuple[tuple[Box, Placement], ...],
     canvas: Canvas = UNKNOWN_CANVAS,
     *,
     forward: Float[Array, "3"] | None = None,
     parallel: bool = False,
 ) -> Camera:
-    """Place the camera so that what has some corners fills the free part of a canvas.
+    """Place the camera so that boxes fill the free part of a canvas.
 
     A corner c has its picture at (c - p)·r / (c - p)·f, for a camera at p that looks along f with r
     to its right. That it lies within the free part bounds p·r from both sides by numbers that are
     linear in p·f, and the same holds for what is up. So the nearest p follows in closed form.
 
     Args:
-        corners: Of the hull of all that is to be shown, in the scene [m].
+        boxes: Each submap's box and its place in the scene.
         canvas: The page's.
         forward: Direction of sight, not straight down; None looks along +y, and down as steeply as
             fills the canvas best.
         parallel: Whether it looks from afar through a narrow field of view.
 
     Returns:
-        The camera; it looks at a point on its axis, as far away as the middle of all corners.
+        The camera; it looks at a point on its axis, as far away as the middle of all boxes.
     """
+    corners = np.concatenate([placement.apply(extent.all_corners) for extent, placement in boxes])
     low, high = corners.min(axis=0), corners.max(axis=0)
     if forward is None:
         width, depth = (max(float(size), 1e-9) for size in (high - low)[:2])

@@ -16,7 +16,7 @@ from app.viewer.features.pair import PairDrawing, boxes_of, compose
 from app.viewer.features.save.figures import Sheet, Written, draw_picture, pixels_of
 from app.viewer.features.save.views import ground_of, written_of
 from app.viewer.scene.cameras import DOWN, blend, ease
-from app.viewer.scene.placement import BareCanvas, Canvas, all_corners_of, frame_camera, glide
+from app.viewer.scene.placement import BareCanvas, Canvas, frame_camera, glide
 from app.viewer.scene.raster import rasterise
 from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.state import FROM_ABOVE, Camera, ViewState
@@ -60,7 +60,7 @@ class Shots:
             self._drawings.append(PairDrawing(picture, result))
             placed = tuple(zip(boxes_of(asked), picture.placements, strict=True))
             forward = DOWN if frame.options.layout == FROM_ABOVE else None
-            framed = frame_camera(all_corners_of(placed), self._canvas, forward=forward)
+            framed = frame_camera(placed, self._canvas, forward=forward)
             self.cameras.append(frame.camera or framed)
 
     def figure(self, k: int) -> Figure:

@@ -27,7 +27,6 @@ from app.viewer.scene.placement import (
     Canvas,
     HeightFrame,
     Placement,
-    all_corners_of,
     beside,
     frame_camera,
     glide,
@@ -362,12 +361,10 @@ class PairScene:
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
         boxes = tuple(zip(boxes_of(state), placed, strict=True))
-        seen = all_corners_of(boxes)  # at which names stand, though frames may not be shown
         if self.is_split:
-            corners = corners_of(boxes)
-            way = beside(corners, corners, self.stacks(layout))
-            seen = np.concatenate([seen, seen + np.array([*way, 0.0])])
-        return frame_camera(seen, canvas, forward=forward, parallel=parallel)
+            x, y = beside(corners_of(boxes), corners_of(boxes), self.stacks(layout))
+            boxes += tuple((box, replace(at, x=at.x + x, y=at.y + y)) for box, at in boxes)
+        return frame_camera(boxes, canvas, forward=forward, parallel=parallel)
 
     def stacks(self, layout: Layout) -> bool:
         """Whether two pictures of the pair fill the canvas better one behind the other."""

@@ -19,14 +19,7 @@ from app.viewer.scene.associations import arcs
 from app.viewer.scene.colors import INK, PAPER, Rgb, colorize, for_line_ends
 from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import LinePoints, lines_node, points_node
-from app.viewer.scene.placement import (
-    UNKNOWN_CANVAS,
-    Box,
-    Canvas,
-    Placement,
-    all_corners_of,
-    frame_camera,
-)
+from app.viewer.scene.placement import UNKNOWN_CANVAS, Box, Canvas, Placement, frame_camera
 from app.viewer.server.host import Host
 from app.viewer.session.state import Camera, ColorMap
 from gpgrad_core.arrays import Array, NDArray
@@ -433,7 +426,7 @@ class WorldScene:
         )
         if not placed:
             return None
-        return frame_camera(all_corners_of(placed), canvas, forward=forward, parallel=parallel)
+        return frame_camera(placed, canvas, forward=forward, parallel=parallel)
 
     def path(self) -> Float[Array, "n 3"]:
         """The trajectory along the submaps in the scene [m]."""

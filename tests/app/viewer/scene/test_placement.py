@@ -12,7 +12,6 @@ from app.viewer.scene.placement import (
     Canvas,
     HeightFrame,
     Placement,
-    all_corners_of,
     frame_camera,
     glide,
     height_offset,
@@ -170,7 +169,7 @@ def test_the_camera_sees_both_submaps_in_the_free_part_of_the_canvas(
 ) -> None:
     box = Box((0.0, 0.0, 0.0), (width, depth, height))
     query, database = place(box, box, layout, T_DATABASE_QUERY, 0.0, tall=tall)
-    camera = frame_camera(all_corners_of(((box, query), (box, database))), canvas)
+    camera = frame_camera(((box, query), (box, database)), canvas)
     corners = np.concatenate([query.apply(box.all_corners), database.apply(box.all_corners)])
     seen = project(camera, corners, canvas.aspect)
     (left, right), (bottom, top) = canvas.free_bounds
@@ -187,7 +186,7 @@ def test_the_camera_sees_both_submaps_in_the_free_part_of_the_canvas(
 def test_from_any_side_all_of_it_is_seen() -> None:
     box, canvas = Box((0.0, 0.0, 0.0), (8.0, 3.0, 1.0)), Canvas(900.0, 600.0)
     for forward in ((0.0, 1.0, -1.0), (1.0, 0.2, -0.4), (0.0, 1e-3, -1.0), (0.0, 0.0, -1.0)):
-        camera = frame_camera(box.all_corners, canvas, forward=np.array(forward))
+        camera = frame_camera(((box, Placement()),), canvas, forward=np.array(forward))
         along = np.array(camera.look_at) - camera.position
         unit = np.array(forward) / np.linalg.norm(forward)
         np.testing.assert_allclose(along / np.linalg.norm(along), unit, atol=1e-9)
@@ -232,7 +231,7 @@ def test_exaggerated_ground_is_met_where_it_is_seen_and_read_as_it_is(layout: La
 def test_from_afar_lines_run_parallel_and_the_same_is_seen() -> None:
     box, canvas = Box((-4.0, -3.0, -1.0), (4.0, 3.0, 1.0)), Canvas(800.0, 600.0)
     down = np.array([0.0, 0.002, -1.0])
-    afar = frame_camera(box.all_corners, canvas, forward=down, parallel=True)
+    afar = frame_camera(((box, Placement()),), canvas, forward=down, parallel=True)
     low, high = (place_on_screen(afar, canvas, np.array([[3.0, 2.0, z]]))[0] for z in (-1.0, 1.0))
     assert np.abs(low - high).max() < 4.0  # of 800 pixels, over 2 m of height
     near = afar.with_perspective
