@@ -138,11 +138,7 @@ def compare_dataset(
 def _shared_store(
     store: Store | None, executor: Executor, outline: Outline
 ) -> tuple[Store | None, int]:
-    """The store that the workers share, and how many bytes of points stay in this process.
-
-    A cluster that does not see the store and the clouds is sent everything, which must fit into
-    memory here.
-    """
+    """The store that the workers share, and how many bytes of points stay in this process."""
     if not isinstance(executor, Cluster):
         return store, MOST_LOADED
     if store is not None:

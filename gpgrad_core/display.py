@@ -67,10 +67,7 @@ def shaded(
 
 
 def picture(values: Float[Floats, "rows columns"], trusted: Bool[Mask, "rows columns"]) -> str:
-    """Draw a field as an address with its picture in it; row 0 is below, what is unknown is clear.
-
-    The lowest and the highest hundredth of the known values are black and white.
-    """
+    """Draw a field as an address with its picture in it; row 0 is below, the unknown is clear."""
     import cv2  # noqa: PLC0415 - loads slowly, and most programs show nothing
 
     every = max(1, max(values.shape) // (2 * SIDE) + 1)

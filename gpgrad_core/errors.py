@@ -40,11 +40,7 @@ def _spelled(character: str) -> str:
 
 @contextmanager
 def readable(path: Path | str) -> Generator[None]:
-    """Make an error of the system, while it reads a file, one that names the file.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
+    """Turn an error of the system, while it reads a file, into an InputError that names it."""
     try:
         yield
     except OSError as error:

@@ -21,13 +21,7 @@ DEBIAN_PACKAGES = {
 
 
 def load_library(name: str, install: str = "gpgrad") -> ModuleType:
-    """Import a library by its name.
-
-    `install` is the argument of ``pip install`` that brings it, such as ``gpgrad[ros]``.
-
-    Raises:
-        InputError: If it cannot be imported; the message says what to install.
-    """
+    """Import a library; if it is missing, an InputError says how to `install` it."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

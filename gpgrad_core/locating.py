@@ -178,12 +178,7 @@ def parameters_for(
     noise_std: float | None = None,
     progress: Progress = silent,
 ) -> tuple[PipelineParams, PipelineParams]:
-    """Choose the parameters of submaps and windows, with one scale of comparison for both.
-
-    Automatic parameters are fitted to the submaps. The standard deviation of the model's heights
-    [m] is fitted unless it is a number; only errors that differ between cells of side `cell` [m]
-    show.
-    """
+    """Choose the parameters of submaps and windows, with one scale of comparison for both."""
     requested = requested or PipelineParams()
     query_params = resolve_parameters(submaps, requested, progress=part(progress, 0.0, 0.5))
     most = sorted(windows, key=lambda window: -int(np.count_nonzero(np.isfinite(window.heights))))
@@ -222,14 +217,7 @@ def locate(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> list[Location]:
-    """Find submaps on a model.
-
-    The windows are those of `cut_windows`, the parameters those of `parameters_for`; `nearby` names
-    the windows for each submap.
-
-    Raises:
-        InputError: If a map cannot be made.
-    """
+    """Find submaps on the windows of a model; `nearby` names those for each submap."""
     locations: list[Location] = []
     names = [window.name for window in windows]
     every = [frozenset(names if nearby is None else nearby[k]) for k in range(len(submaps))]

@@ -96,11 +96,7 @@ def _nearest(
 
 
 def _squared_distances(query: Descriptors, database: Descriptors) -> Float[Singles, "q d"]:
-    """Compute squared L2 distances; for strings of bits these are the Hamming distances.
-
-    One matrix product is three to five times as fast as OpenCV's brute-force matcher, and exact for
-    bits and SIFT's whole numbers.
-    """
+    """Squared L2 distances, of bits Hamming's, by one product: faster than OpenCV's matcher."""
     a, b = as_vectors(query), as_vectors(database)
     # |a - b|² = (-2a, |a|², 1)·(b, 1, |b|²): the product adds up all terms, and no pass follows.
     norms_a, norms_b = (np.einsum("ij,ij->i", vectors, vectors)[:, None] for vectors in (a, b))

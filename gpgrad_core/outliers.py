@@ -66,10 +66,7 @@ def find_outliers(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
 
 
 def _level(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Subtract a robust surface of second order from heights, beyond the core as a plane.
-
-    On steep ground the usual difference includes the slope, in which a swarm would hide.
-    """
+    """Subtract a robust surface of second order from heights, beyond the core as a plane."""
     low, high = np.quantile(points, (CORE, 1 - CORE), axis=0)
     middle, half = (low + high) / 2, (high - low) / 2
     ordinary = (np.abs(points - middle) <= half * (1.0, 1.0, ORDINARY)).all(axis=1)

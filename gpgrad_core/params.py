@@ -168,11 +168,7 @@ def with_unit(name: str, bounds: Bounds | None) -> str:
 
 @cache
 def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
-    """List the fields of a params dataclass, in order of definition.
-
-    Checks, files, flags and widgets all use this list. So a type that one of them cannot handle is
-    an error here, instead of a parameter that is missing there.
-    """
+    """List the fields of a params dataclass, in order of definition."""
     listed: list[Field] = []
     hints = get_type_hints(params, include_extras=True)
     for field in fields(params):

@@ -57,10 +57,7 @@ def rounded_scale(scale: float) -> float:
 
 
 def std_at_scale(signal_std: float, length_scale: float, scale: float) -> float:
-    """Compute how much heights typically change over a scale [m].
-
-    The slopes of the squared exponential have the standard deviation signal_std / length_scale.
-    """
+    """Compute how much heights typically change over a scale [m]."""
     return signal_std * min(1.0, scale / length_scale)
 
 

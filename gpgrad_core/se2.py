@@ -184,10 +184,7 @@ class Pose:
 
 
 def level_pose(pose: Pose) -> Pose:
-    """The level frame at a pose: z up, x along the body's x axis as seen from above.
-
-    The z axis of the world points up.
-    """
+    """The level frame at a pose: z up, x along the body's x axis as seen from above."""
     forward = pose.rotation[:, 0]
     if abs(forward[2]) > UPRIGHT:  # x points up or down and gives no heading
         forward = pose.rotation[:, 1]

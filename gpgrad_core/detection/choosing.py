@@ -61,10 +61,7 @@ class CandidateSearch(Generic[M, E]):
     def find(
         self, extracted: E, among: Collection[str] | None, num_earlier: int
     ) -> tuple[Candidate, ...] | None:
-        """Find the candidates of the next submap; None if it is compared with all.
-
-        They are some of ``among``, which are ``num_earlier`` ids; None means all earlier ones.
-        """
+        """Find the candidates of the next submap; None if it is compared with all."""
         count = num_candidates(self._candidates, num_earlier)
         if count == num_earlier:
             return None
@@ -209,10 +206,7 @@ def odometry_or_true_pose(submap: Submap) -> Pose | None:
 
 
 def closest_pair(dataset: Dataset, of: str | None = None) -> PairOfIds | None:
-    """Find the closest pair of submaps that do not follow each other; None if few poses are known.
-
-    With the id of a submap, it is one of the two.
-    """
+    """Find the closest pair of submaps that do not follow each other; None of few known poses."""
     submaps = dataset.submaps
     positions = np.full((len(submaps), 2), np.nan)
     for row, submap in enumerate(submaps):

@@ -155,11 +155,7 @@ class Consistency:
 def _most_shown(
     scores: Float[Array, "n"], wrong: Float[Array, "k"], num_pairs: int
 ) -> Float[Array, "n"]:
-    """Limit scores by how rare they are among pairs that lead elsewhere.
-
-    Where n pairs were compared and N that lead elsewhere reach a score, it is worth no more than
-    log10(n / (N - 1)); one of them may be a mistake.
-    """
+    """Limit scores: if N of n pairs that lead elsewhere reach one, to log10(n / (N - 1))."""
     reached = len(wrong) - np.searchsorted(np.sort(wrong), scores)
     most = [inf, inf, *(log10(num_pairs / more) for more in range(1, len(wrong)))]
     return np.minimum(scores, np.array(most)[reached])

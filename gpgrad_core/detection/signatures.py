@@ -47,10 +47,7 @@ class Vocabulary:
         return np.asarray((vectors - self.mean) @ self.axes, np.float32)
 
     def aggregate(self, short: Float[Singles, "k c"]) -> Float[Singles, "v"]:
-        """Make the global vector of a submap; its length is 1, or 0 without keypoints.
-
-        Each word has the direction of the sum of x - word over its nearest descriptors x, or zeros.
-        """
+        """Make the global vector of a submap; its length is 1, or 0 without keypoints."""
         nearest = nearest_words(short, self.words)
         sums = np.zeros_like(self.words)
         np.add.at(sums, nearest, short - self.words[nearest])

@@ -52,11 +52,7 @@ def calibrate(
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[Calibration, ...]:
-    """Judge maps with constant noise, measured noise, both after a fit, and the smoothed grid.
-
-    The fits, by maximum marginal likelihood, use the same points as the maps. Of more than
-    `MOST_SUBMAPS` submaps, that many are used. Maps and fits start from the parameters.
-    """
+    """Judge maps with constant noise, measured noise, both after a fit, and the smoothed grid."""
     params = params or PipelineParams()
     params = replace(params, map=params.map.guessed)  # what the fits below begin with
     count = min(len(dataset.submaps), MOST_SUBMAPS)

@@ -68,13 +68,7 @@ def run_methods(
     progress: Progress = silent,
     only: Collection[tuple[str, str]] | None = None,
 ) -> dict[str, ClosureReport]:
-    """Detect the loop closures of a dataset with each of several methods.
-
-    No method reuses the results of another, so that their times can be compared. Only the fit of
-    automatic parameters is shared. Each method adapts the parameters to its needs; the other
-    options are those of `detect_loop_closures`. It gives the result of each method by its name,
-    with the content of its ``closures.json``.
-    """
+    """Detect the loop closures of a dataset with each of several methods."""
     params = params or PipelineParams()
     names = [method.name for method in methods]
     for name in names:
@@ -108,13 +102,7 @@ def detect_stored(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> DetectionResult:
-    """Compare all pairs of a dataset with any method, and store the verdict on each.
-
-    A run that was stopped goes on with the pairs that it had not reached, and a second run compares
-    nothing; the seconds are those of the other pairs. The parameters come from the method's
-    ``resolve``. Verdicts that images have a part in are not stored: a submap is known by its
-    points alone.
-    """
+    """Compare all pairs by any method, and store the verdicts, but for those of images."""
     detector = as_detector(method.detector(params, Memo(store=store)))
     if detector.is_ordered or params.closure.images != "off":
         store = None
@@ -144,16 +132,7 @@ def detect_stored(
 
 
 def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:
-    """Read files of closures, and give each a name of its own.
-
-    The files are in the format of ``closures.json``, written by any tool; `taken` are names already
-    in use. It gives the contents of the files by the name of their method. If several have the same
-    name, the path is added to it.
-
-    Raises:
-        InputError: If a file is given twice, or has another format.
-        OSError: If a file cannot be read.
-    """
+    """Read files of closures by any tool, each by a name not `taken`; InputError if one is none."""
     reports = [read_closures(path) for path in paths]
     methods = [*taken, *(report.method for report in reports)]
     rivals: dict[str, ClosureReport] = {}
@@ -214,10 +193,7 @@ class FigureData:
 
 
 def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
-    """The poses by which submaps are drawn in one frame, and their name.
-
-    They are the true ones by id if there are two or more, or else those of odometry, or none.
-    """
+    """The poses by which submaps are drawn in one frame, and their name."""
     for name, poses in (("true poses", dataset.true_poses), ("odometry", dataset.odometry)):
         if len(poses) >= 2:
             return poses, name
@@ -245,10 +221,7 @@ def study(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> FigureData:
-    """Find out what the figures of one dataset need; all but the eighth are of the first method.
-
-    The store keeps the verdict on each pair, so that a stopped run goes on where it was.
-    """
+    """Find out what the figures of one dataset need; all but the eighth are of the first method."""
     leading, *others = methods
     if not numbers & VERDICTS:
         progress(1.0)
@@ -292,10 +265,7 @@ def study(
 def choose(
     dataset: Dataset, closures: Sequence[LoopClosure], evaluation: Evaluation | None
 ) -> LoopClosure | None:
-    """Choose the pair to show: right if that is known, accepted, no neighbours, most inliers.
-
-    Right is by the evaluation's first method. None if no pair has a motion.
-    """
+    """Choose the pair to show: right if that is known, accepted, no neighbours, most inliers."""
     index = dataset.index
 
     def worth(closure: LoopClosure) -> tuple[object, ...]:

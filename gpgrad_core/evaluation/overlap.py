@@ -168,10 +168,7 @@ def make_footprint(points: Float[Array, "n 3"]) -> Footprint:
 
 
 def compare_footprints(first: Footprint, second: Footprint) -> tuple[float, float, float]:
-    """Compare the ground of two submaps: box IoU, surface overlap, median height difference [m].
-
-    The difference is NaN if there are too few common cells.
-    """
+    """Box IoU, surface overlap and median height difference [m], NaN of too few common cells."""
     iou = box_iou((first.low, first.high), (second.low, second.high))
     # Cells reach beyond their points, so boxes that are just apart can still share some.
     if (first.low > second.high + CELL).any() or (second.low > first.high + CELL).any():

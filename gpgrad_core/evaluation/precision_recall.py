@@ -37,10 +37,7 @@ class Ranking:
 def rank_pairs(
     detection: DetectionResult | ClosureReport, dataset: Dataset, pairs: TruePairs, name: str
 ) -> Ranking:
-    """Sort a method's verdicts, in either direction, as the true pairs are.
-
-    A pair that is not listed ranks below all that are.
-    """
+    """Sort a method's verdicts, in either direction, as the true pairs are."""
     ids = {submap.id for submap in dataset.submaps}
     score = np.full(len(pairs), -np.inf)
     num_inliers = np.zeros(len(pairs), dtype=np.intp)

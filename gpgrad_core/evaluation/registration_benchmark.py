@@ -99,13 +99,7 @@ def check_problems(problems: Sequence[BenchmarkProblem], dataset: Dataset, path:
 def describe_problems(
     problems: Sequence[BenchmarkProblem], dataset: Dataset, evaluation: Evaluation, path: Path
 ) -> Section:
-    """Judge how methods solve the benchmark's problems, as a section of the report.
-
-    A problem is solved by the motion that a method found for its pair, whichever of the two clouds
-    it took as the query. gpgrad's motions are those of gravity-aligned submaps, so the error is
-    that in the plane; heights and tilt are taken as true. The misplacement is not applied, because
-    a pair's motion does not depend on where its clouds were; the error that it makes is given.
-    """
+    """Judge how methods solve the benchmark's problems, as a section of the report."""
     submaps = {submap.id: submap for submap in dataset.submaps}
     pairs = evaluation.pairs
     judged: list[_JudgedProblem] = []

@@ -48,10 +48,7 @@ class Section:
 
 
 def render(template: Path, **values: object) -> str:
-    """Fill a template of Jinja.
-
-    In a file that ends in ``.html`` all values are escaped. A name that is missing is an error.
-    """
+    """Fill a template of Jinja; ``.html`` escapes all values, and a missing name is an error."""
     # Imported here because commands that write no page need not wait for it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415
 
@@ -74,10 +71,7 @@ def cell(text: str) -> str:
 def check_directory(
     directory: Path | str, names: Iterable[str] = (), *, overwrite: bool = True
 ) -> Path:
-    """Check that a report can be written to a folder, which need not exist, before long work.
-
-    The names are those of files that will be written, or patterns of them.
-    """
+    """Check that a report can be written to a folder, which need not exist, before long work."""
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file; give the name of a folder for the report")
@@ -378,10 +372,7 @@ def _rows_by_inliers(evaluation: Evaluation, protocol: str, rule: int) -> list[B
 def describe_images(
     reports: Mapping[str, ClosureReport], evaluation: Evaluation
 ) -> tuple[Section, ...]:
-    """Count by the truth what camera images say of the pairs that the terrain accepted.
-
-    The first rule of the evaluation is the truth. There is no section if no images were used.
-    """
+    """Count by the truth what camera images say of the pairs that the terrain accepted."""
     labels = evaluation.labels[0]
     content: dict[str, dict[str, dict[str, int]]] = {}
     for name, report in reports.items():

@@ -70,10 +70,7 @@ def detect_surf(image: Image) -> Detection:
 
 @dataclass(frozen=True, eq=False)
 class Blobs:
-    """Maxima over position and size; (0, 0) is the centre of the first pixel.
-
-    A filter of side L approximates a Gaussian of 1.2 L / 9 pixels.
-    """
+    """Maxima over position and size; (0, 0) is the centre of the first pixel."""
 
     pixels: Float[Array, "k 2"]  # position (column, row) of each blob (k, 2) [pixels]
     # side of its box filter, which is the blob's diameter (k,) [pixels]
@@ -90,8 +87,6 @@ def integral_image(image: Image) -> Integral:
 
 def filter_sides(octave: int) -> list[int]:
     """List the sides of the box filters of an octave [pixels].
-
-    They are 9 15 21 27 in octave 0, then 15 27 39 51, then 27 51 75 99.
 
     >>> filter_sides(1)
     [15, 27, 39, 51]

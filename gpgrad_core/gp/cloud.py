@@ -61,10 +61,7 @@ def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[Indices, "n"]:
 
 @dataclass(frozen=True, eq=False)
 class OwnAxes:
-    """A frame in which a cloud, seen from above, is the same however its own frame lies.
-
-    It lies along the smallest rectangle around the points, so that cells along it fill their area.
-    """
+    """A frame in which a cloud, seen from above, is the same however its own frame lies."""
 
     centre: Float[Array, "2"]  # mean of the points (2,) [m]
     directions: Float[Array, "2 2"]  # the unit vectors as columns, that of the least scatter first
@@ -97,11 +94,7 @@ def extent_of(points: Float[Array, "n d"]) -> Float[Array, "2"]:
 def bin_points(
     points: Float[Array, "n 3"], cell: float, noise_std: float | Float[Array, "n"] = 1.0
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
-    """Replace the points [m] of each square cell, of a side [m], by their weighted mean.
-
-    The mean keeps the mean position, so the error is the terrain's curvature, ``z'' cell² / 24``.
-    It gives the means and the noise of each mean's height.
-    """
+    """Replace the points [m] of each square cell by their weighted mean; also give its noise."""
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64)
     owner = group(cells[:, ::-1])
     precision = np.broadcast_to(noise_std, len(points)) ** -2.0

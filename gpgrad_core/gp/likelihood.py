@@ -205,10 +205,7 @@ def draw_patches(
 
 
 def _centres(xy: Float[Array, "n 2"], count: int) -> list[Float[Array, "2"]]:
-    """Divide a cloud into compact parts of equal size, and find the point in the middle of each.
-
-    Rounding in the last digits of the points moves it to no other point.
-    """
+    """Divide a cloud into compact parts of equal size, and find the point in the middle of each."""
     if count == 1:
         return [xy[np.argmin(((xy - xy.mean(axis=0)) ** 2).sum(axis=1))]]
     first = len(xy) * (count // 2) // count

@@ -65,11 +65,7 @@ class MeasuredNoise(PointNoise):
 def measure_noise(
     points: Float[Array, "n 3"], length_scale: float, prior_std: float
 ) -> MeasuredNoise:
-    """Measure the noise of points [m] from their scatter within cells.
-
-    Detail far below the length-scale [m] counts as noise; the prior [m] holds where nothing can be
-    measured.
-    """
+    """Measure the noise of points [m] from their scatter within cells."""
     axes = OwnAxes.of(points[:, :2])
     points = np.column_stack([axes.along(points[:, :2]), points[:, 2]])
     cells = _Cells.over(points, length_scale)

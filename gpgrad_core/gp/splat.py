@@ -90,11 +90,7 @@ def gaussian_slope(
 
 
 class Splat:
-    """The matrix ``exp(-|p - m|² / width²)`` of points p and nodes m, stored as its factors.
-
-    Consecutive points should lie close together: then a chunk of them meets a small box of the
-    lattice.
-    """
+    """The matrix ``exp(-|p - m|² / width²)`` of points p and nodes m, stored as its factors."""
 
     def __init__(
         self,

@@ -74,10 +74,7 @@ class Factor:
     def inverse_blocks(
         self,
     ) -> Iterator[tuple[int, Float[Floats, "_ _"], Float[Floats, "_ _"] | None]]:
-        """Yield (i, diagonal block i of the inverse, block (i + 1, i) or None), last first.
-
-        Takahashi's recursion computes no other block of the inverse.
-        """
+        """Yield (i, block i of the inverse, block (i + 1, i) or None), last first (Takahashi)."""
         last = len(self.inverses) - 1
         diagonal = self.inverses[last]
         yield last, diagonal, None
@@ -89,11 +86,7 @@ class Factor:
 
 
 def invert_pivot(pivot: Float[Floats, "m m"]) -> Float[Floats, "m m"]:
-    """Invert a symmetric positive definite block by halves, mostly with matrix products.
-
-    At these sizes LAPACK's own inversion runs at a tenth of the speed of a matrix product. The part
-    of the pivot below its diagonal is not read.
-    """
+    """Invert a positive definite block by halves: products run at ten times LAPACK's speed."""
     size = len(pivot)
     if size <= LARGEST_LEAF:
         return _invert_leaf(pivot)
@@ -195,11 +188,7 @@ class WeightSpace:
         spacing: float,
         advance: Progress,
     ) -> None:
-        """Factorise the precision over nodes at a spacing [m].
-
-        Raises:
-            NotPositiveDefiniteError: If rounding errors make the precision indefinite.
-        """
+        """Factorise over nodes at a spacing [m]; NotPositiveDefiniteError if rounding prevents."""
         self._length_scale = length = kernel.length_scale
         self._dtype = np.float32 if information <= MOST_INFORMATION_IN_SINGLE else np.float64
         self._refined = self._dtype is np.float32 and information > MOST_INFORMATION_UNREFINED

@@ -69,10 +69,7 @@ def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
 
 
 def _check_level(quaternions: Sequence[Float[Array, "4"]], path: Path) -> None:
-    """Refuse turns that tip level submaps over, as those do whose w comes first.
-
-    Of all headings only an exact half turn, ``0 0 0 1``, has the form of one with w last.
-    """
+    """Refuse turns that tip level submaps over, as those do whose w comes first."""
     x, y, z, _ = np.square(quaternions).mean(axis=0).tolist()
     tilt, w_first = x + y, y + z  # sin² of half the tilt, as the columns are and with w first
     level = w_first < LEVEL and tilt > 1e6 * LEVEL

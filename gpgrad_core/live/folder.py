@@ -27,11 +27,7 @@ ANY_NUMBER = range(10**18)
 
 
 class SubmapFolder(Source):
-    """Watches a folder of clouds with a file of poses, in the form of a dataset.
-
-    A cloud comes once its file is whole, that is the same in two looks, and has a pose; and again
-    if its file changes.
-    """
+    """Watches a folder of clouds with a file of poses, in the form of a dataset."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(str(path))

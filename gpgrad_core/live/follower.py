@@ -67,12 +67,8 @@ class Ready:
 class Order:
     """Gives submaps in the order of the numbers in their ids.
 
-    A gap is waited for as long as later submaps are few and young. Then the submaps of the gap
-    count as missing, and odometry bridges them. If one comes after all, it is taken as the next.
-
-    Attributes:
-        num_missing, num_late, num_reordered: Numbers of submaps that are missing, came too late for
-            their place, and were put in their place.
+    A gap is waited for as long as later submaps are few and young. Then its submaps are missing,
+    and odometry bridges them. If one comes after all, it is taken as the next.
     """
 
     def __init__(self) -> None:
@@ -163,10 +159,7 @@ class Counts:
 
 
 class Follower:
-    """Receives submaps from a source in one thread, and has them compared in another.
-
-    It answers once a submap is on the disk, so that comparisons keep no robot waiting.
-    """
+    """Receives submaps from a source in one thread, and has them compared in another."""
 
     def __init__(
         self,

@@ -20,23 +20,14 @@ from gpgrad_core.types import Submap
 
 
 class Keeper:
-    """Stores submaps and moments, in a record if there is one; any thread may call it.
-
-    Attributes:
-        settings: What the drive is made with; None until there is a submap.
-        notes: What is not whole about the record, one line each.
-        starts: Ids of the submaps of an earlier run that begin another traverse.
-    """
+    """Stores submaps and moments, in a record if there is one; any thread may call it."""
 
     def __init__(
         self,
         path: Path | None = None,
         settings: Callable[[Submap], RunSettings] = lambda _: RunSettings(),
     ) -> None:
-        """Continue a record, or begin it; without a path, nothing outlives the keeper.
-
-        `settings` is called with the first submap unless a record has them.
-        """
+        """Continue a record, or begin it; without a path, nothing outlives the keeper."""
         self._lock = threading.Lock()
         self._submaps: dict[str, Submap] = {}
         self._held: NameLock | None = None

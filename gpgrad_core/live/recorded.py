@@ -33,11 +33,7 @@ FOOTER = RECORD.pack(2, 20) + bytes(20) + MAGIC
 
 
 class GrowingRecording(Source):
-    """Reads a growing recording anew, and makes the submaps that are complete by now.
-
-    They are those that ``gpgrad build`` makes of the whole recording. The last one comes once the
-    file itself says that it is finished, as MCAP files and ROS 1 bags do.
-    """
+    """Reads a growing recording anew, and makes the submaps that are complete by now."""
 
     def __init__(self, path: Path, params: BuildParams | None = None) -> None:
         super().__init__(str(path))
@@ -153,10 +149,7 @@ def _is_finished(path: Path) -> bool:
 
 
 def whole_until(path: Path, since: int = len(MAGIC)) -> int:
-    """Find where the last whole record of an MCAP file ends [bytes]; one ends at `since`.
-
-    MCAP's specification is mcap.dev/spec: the magic bytes, and then records.
-    """
+    """Find where the last whole record of an MCAP file ends [bytes] (mcap.dev/spec)."""
     with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         end = since
@@ -176,10 +169,7 @@ else:
 
 
 class GrowingMcap(SystemPath):
-    """The path of a growing MCAP, opened as if it ended after its last whole record.
-
-    Libraries look for the end of a file first, which this one does not have yet.
-    """
+    """The path of a growing MCAP, opened as if it ended after its last whole record."""
 
     whole: int = len(MAGIC)
     """Where the last whole record ends [bytes]."""

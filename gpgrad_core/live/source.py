@@ -53,10 +53,7 @@ class Source:
         raise NotImplementedError
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Set the function that gives the ids of stored submaps; called once, before `news`.
-
-        Of these, files need give only the first submap again.
-        """
+        """Set the function that gives the ids of stored submaps; called once, before `news`."""
         self._stored_ids = names
 
     def tell(self, corrected: Corrected) -> None:

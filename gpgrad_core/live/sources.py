@@ -18,11 +18,7 @@ from gpgrad_core.recordings.build import is_recording
 
 
 def open_source(text: str) -> Source:
-    """Open the source that a text names.
-
-    It is ``-`` for standard input, a port or ``tcp://HOST:PORT`` to listen at, a bag, or a folder
-    into which submaps or scans are written.
-    """
+    """Open the source that a text names."""
     if text == "-":
         # Without a buffer: one that a thread still reads has a lock, on which Python's end waits.
         return Stream(io.FileIO(sys.stdin.fileno(), closefd=False).read)

@@ -456,10 +456,7 @@ def _maximum(
 def _bent(
     information: Float[Array, "3 3"], steps: list[tuple[Array, Array]]
 ) -> Float[Array, "3 3"]:
-    """Correct the information by how the gradient fell along the last steps (BFGS).
-
-    Real terrain is no stationary GP, and the average information is up to four times off.
-    """
+    """Correct the information by how the gradient fell along the last steps (BFGS)."""
     for step, fall in steps:
         if step @ fall > 1e-3 * (step @ information @ step):
             turned = information @ step
@@ -489,11 +486,7 @@ def _step(
 
 
 def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
-    """Compute the smallest and largest length-scale, signal and factor on the noise.
-
-    Within half the points' spacing a length-scale cannot be separated from noise, and beyond half
-    the clouds' width not from a slope.
-    """
+    """Compute the smallest and largest length-scale, signal and factor on the noise."""
     bounds = bounds_of(TerrainParams)
     sides = np.array([extent_of(area.points) for area in areas])
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.rows) for area in areas])

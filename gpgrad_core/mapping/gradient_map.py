@@ -216,11 +216,7 @@ class MapParams:
 
 
 def map_grid(submap: Submap, resolution: float) -> Grid:
-    """Make the grid over the submap's bounding box, of cells of a side [m] (the paper's Sec. VI-B).
-
-    Raises:
-        InputError: If the grid would have more than `MOST_CELLS` cells.
-    """
+    """Make the grid over the submap's box, of cells of a side [m] (the paper's Sec. VI-B)."""
     name = f"submap {submap.id}"
     return Grid.covering(submap.corners, resolution, name=name, max_cells=MOST_CELLS)
 
@@ -234,10 +230,7 @@ class Noise:
     params: TerrainParams
 
     def ordinary(self, submap: Submap, reference: Submap | None = None) -> Float[Array, "n"]:
-        """Determine the noise of a submap's points (n,) [m] as if none were an outlier.
-
-        Measured noise is that of the submap by which it is `known_by`, if it is not its own.
-        """
+        """Determine the noise of a submap's points (n,) [m] as if none were an outlier."""
         del reference
         return np.full(len(submap.points), self.params.noise_std)
 
@@ -397,10 +390,7 @@ def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
 def sample_map(
     submap: Submap, posterior: Posterior, resolution: float, scale: float | None = None
 ) -> GradientMap:
-    """Sample a fitted GP over its submap's bounding box, in cells of a side [m].
-
-    Without a scale of comparison [m], it is measured on the map and rounded.
-    """
+    """Sample a fitted GP over its submap's bounding box, in cells of a side [m]."""
     grid = map_grid(submap, resolution)
     kernel, fields = posterior.kernel, posterior.sample(grid)
     if scale is None:

@@ -88,12 +88,7 @@ class BagOfWords:
         self._num_words_at: dict[str, int] = {}
 
     def look_up_and_learn(self, imaged: ImagedSubmap) -> dict[str, float]:
-        """Compute the similarity of each earlier place, then add this place.
-
-        It is the sum of tf-idf over the common words, scaled to 0 to 1. A known word keeps the bits
-        that all its descriptors have in common, and a descriptor that resembles no word becomes a
-        word.
-        """
+        """Compute the similarity of each earlier place, then add this place."""
         descriptors = np.concatenate([image.descriptors for image in imaged.images])
         nearest = nearest_words(descriptors, self._words)
         resembled = np.flatnonzero(nearest >= 0)

@@ -52,11 +52,7 @@ PAPER = PipelineParams(
 
 
 def paper_params(params: PipelineParams) -> PipelineParams:
-    """Replace the parameters that are left at their default by the paper's (Secs. V to VII).
-
-    A parameter with another value stays: a length-scale, noise or signal with a number is used for
-    every submap as it is. The guide lists them (method.md, *Where the paper is open*).
-    """
+    """Replace the parameters that are left at their default by the paper's (Secs. V to VII)."""
     return _with_defaults(params, PipelineParams(), PAPER)
 
 

@@ -172,10 +172,7 @@ def register_by_ransac(
 def ransac_se3(
     query: Float[Array, "m 3"], database: Float[Array, "m 3"], radius: float, seed: int
 ) -> tuple[Float[Array, "4 4"], Bool[Mask, "m"]] | None:
-    """Find the motion with the most inliers, fitted to them, from the query's frame (4, 4).
-
-    Their keypoints lie within the radius [m] of each other. None if no motion has three.
-    """
+    """Find the motion (4, 4) with the most inliers within the radius [m]; None without three."""
     num = len(query)
     if num < 3:
         return None

@@ -91,11 +91,7 @@ def shot(
     keypoints: Float[Array, "k 3"],
     radius: float,
 ) -> Float[Array, "k 352"]:
-    """Describe keypoints [m] by the positions and normals of their neighbours, as unit vectors.
-
-    Each neighbour counts in one of 32 sectors of the keypoint's own frame, in a histogram of the
-    cosine between its normal and the frame's z axis, shared linearly with the neighbouring bins.
-    """
+    """Describe keypoints [m] by the positions and normals of their neighbours, as unit vectors."""
     near = neighbours_within(points, keypoints, radius)
     frames = local_frames(points, keypoints, near, radius)
     cosine = np.einsum("pi,pi->p", normals[near.index], frames[near.query, 2])
@@ -201,11 +197,7 @@ def color_shot(
 
 
 def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:
-    """Measure how far each neighbourhood is from flat, in [0, 1/3] (Pauly 2002).
-
-    It is the smallest eigenvalue of its covariance over the sum of all; 0 with less than five
-    points.
-    """
+    """Measure how far each neighbourhood is from flat, in [0, 1/3] (Pauly 2002)."""
     near = neighbours_within(points, points, radius)
     offsets = points[near.index] - points[near.query]
     sums = near.sum_up(offsets)

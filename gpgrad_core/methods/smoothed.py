@@ -113,9 +113,6 @@ def elevation_params(params: PipelineParams) -> PipelineParams:
 
 
 def elevation_as_image(gradient_map: GradientMap) -> GradientMap:
-    """Make a map whose gradient image is the height above the lowest cell.
-
-    The gradient image is the length of the slope vector, so the slope is (height, 0).
-    """
+    """Make a map whose gradient image is the height above the lowest cell."""
     height = gradient_map.elevation - gradient_map.elevation.min()
     return replace(gradient_map, slope=np.stack([height, np.zeros_like(height)], axis=-1))

@@ -104,11 +104,7 @@ DECODERS: dict[str, Callable[[bytes], bytes]] = {"laz": decode_laz, "images": de
 
 
 def main(kind: str, memory: str, seconds: str) -> int:
-    """Decode standard input to standard output within limits.
-
-    The memory is address space [bytes], the seconds are the processor's. The exit code is 1 if the
-    decoder refuses; its last line on standard error says why.
-    """
+    """Decode standard input to standard output within limits."""
     _limit(int(memory), int(seconds))
     # Libraries that print must not mix with the reply.
     reply = os.fdopen(os.dup(1), "wb")

@@ -65,10 +65,7 @@ def lines_of(text: str) -> list[str]:
 def split_rows(
     path: Path, most_bytes: int | None = None, *, comment: str | None = "#"
 ) -> list[tuple[str, list[str]]]:
-    """Split each row of a text file into words, between spaces or commas, without comments.
-
-    Gives the file and line of each row that has words, for error messages, and the words.
-    """
+    """Split each row into words between spaces or commas, with its place for error messages."""
     if not path.exists():
         raise InputError(f"{path}: no such file")
     rows: list[tuple[str, list[str]]] = []

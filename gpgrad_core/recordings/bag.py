@@ -115,11 +115,8 @@ def seconds(header: Message) -> float:
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or one of such files.
 
-    The scans are those of a sensor of `SENSORS`. The poses are messages of `POSES`, or else the
-    transforms from the root of their tree to the clouds' frame; none are read if odometry is to
-    make them. If they are of another frame than the clouds, the transforms between the two frames
-    are used. Satellite positions become the truth unless another is named: their heights are above
-    the ellipsoid WGS 84, and the antenna stands for the body.
+    The poses are messages of `POSES`, or else transforms from the root of their tree. Satellite
+    positions become the truth unless another is named; the antenna stands for the body.
     """
     keep = PointFilter(sources.keep)
     with read_bag(path) as reader:
@@ -435,10 +432,7 @@ class _Placing:
         return bool(body) and self._look_alike(body, self.sample)
 
     def _robot(self) -> str | None:
-        """Find the robot's frame below that of the clouds, if this one does not move itself.
-
-        Where the points are in the world for sure, a frame may move that the robot moves in.
-        """
+        """Find the robot's frame below that of the clouds, if this one does not move itself."""
         frame = self.contents.frame
         world = frame_name(self.sources.world_frame or self.tree.root(frame))
         robot, still = self.tree.mover(frame), world in (frame, self.tree.carrier(frame))
@@ -446,10 +440,7 @@ class _Placing:
         return robot if still or sure else None
 
     def moved(self) -> Located | None:
-        """Find how points in the world come into the frame of the poses, if given in another one.
-
-        Those in a frame on the robot are not moved: it says whose they are, not where they are.
-        """
+        """Find how points in the world come into the frame of the poses, if given in another."""
         world, frame = self.contents.pose_frame, self.contents.frame
         robot = self.contents.body_frame or self.tree.mover(world)
         if not (self.in_world and world and frame) or frame == world:
@@ -528,10 +519,7 @@ class _Placing:
         return located, span, (f"poses are the transforms from {world} to {frame}",)
 
     def mount(self, *, required: bool) -> tuple[Located, tuple[str, ...]]:
-        """Find the sensor's pose on the body at each scan, and note what was assumed.
-
-        With `required`, as when scans have poses of the body, a missing transform is an error.
-        """
+        """Find the sensor's pose on the body at each scan, and note what was assumed."""
         body, frame = self.contents.body_frame, self.contents.frame
         notes = (
             f"the clouds are in {frame!r}, the frame of the poses: their points are taken as in "

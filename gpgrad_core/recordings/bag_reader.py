@@ -29,10 +29,7 @@ their depth; 8,000 files take half of the bytes and all of the values, seven dee
 
 
 def bag_files(path: Path) -> list[Path]:
-    """List the files of a bag, or its folder if that has ROS 2's metadata; none if it is no bag.
-
-    Files without metadata are one bag by their numbers; of several kinds, the first counts.
-    """
+    """List the files of a bag, or its folder if that has ROS 2's metadata; none if it is no bag."""
     if path.is_file():
         return [path] if path.suffix.lower() in ENDINGS else []
     if (path / "metadata.yaml").exists():

@@ -43,12 +43,7 @@ POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "traje
 
 
 def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a folder of clouds, in itself or in one of `CLOUD_FOLDERS`, with a file of poses.
-
-    It may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or KITTI's ``calib.txt``. Without
-    ``times.txt``, a scan's time is the number in its name. No poses are read if odometry is to make
-    them.
-    """
+    """Open a folder of clouds, in itself or in one of `CLOUD_FOLDERS`, with a file of poses."""
     if is_unfinished(path.resolve()):
         raise InputError(f"{path}: is a recording that is not finished; make it again")
     clouds, scans_folder = _find_clouds(path)
@@ -128,10 +123,7 @@ def open_posed_scans(
 
 
 def is_scan_folder(path: Path) -> bool:
-    """Whether clouds are scans rather than submaps, whose poses name them by whole numbers.
-
-    Scans lie in one of `CLOUD_FOLDERS`, or beside poses by time or by KITTI's rows.
-    """
+    """Whether clouds are scans rather than submaps, whose poses name them by whole numbers."""
     if not path.is_dir() or (path / "submaps").is_dir():
         return False
     try:
@@ -283,9 +275,6 @@ def _row_of_each(
 
 def number_in(stem: str) -> float | None:
     """Find the last number in a file's name.
-
-    Seconds and nanoseconds that a point or an underscore separates, as ROS tools write them, count
-    as one number.
 
     >>> number_in("scan_000012"), number_in("1311868164.363181"), number_in("ground")
     (12.0, 1311868164.363181, None)

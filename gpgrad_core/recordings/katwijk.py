@@ -176,10 +176,7 @@ def points_of_images(
     keep: PointFilter,
     where: str,
 ) -> Float[Array, "n 3"]:
-    """Turn images of ranges [mm], azimuths [0.01 degrees] and intensities into points [m].
-
-    Conditions are on ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
-    """
+    """Turn images of ranges [mm], azimuths [0.01 degrees] and intensities into points [m]."""
     returned = ranges > 0
     if (azimuth[returned] > 36_000).any():
         raise InputError(

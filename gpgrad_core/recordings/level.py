@@ -108,10 +108,7 @@ def rotation_to_z(up: Float[Array, "3"]) -> Rotation:
 
 
 def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
-    """Fit a plane to the ground; each round leaves out the points that lie off the last plane.
-
-    Points are relative to the sensor [m], above the ground. The normal (3,) points up.
-    """
+    """Fit a plane to the ground below the sensor, without outliers; its normal (3,) points up."""
     thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
     if len(thinned) < LEAST_POINTS:
         return None
@@ -130,10 +127,7 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
 
 
 def estimate_up(normals: list[Array], where: str) -> tuple[Float[Array, "3"], float]:
-    """Estimate the direction up from normals (3,) of the ground, in which slopes average out.
-
-    It also gives the median angle between it and the normals [rad].
-    """
+    """Estimate up by normals of the ground; also the median angle between it and them [rad]."""
     if not normals:
         raise InputError(
             f"{where}: no scan shows enough ground to find the direction up; "

@@ -91,10 +91,7 @@ class Product:
 
 
 def open_products(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open the XYZ products in a folder as scans of the rover, in the order of its clock.
-
-    The sources may name a table of places instead of one that lies in the folder.
-    """
+    """Open the XYZ products in a folder as scans of the rover, in the order of its clock."""
     sources.refuse("XYZ products have their own times and frames", "truth", "times", "mount")
     sources.refuse("XYZ products have x, y and z only", "keep")
     labels = filter(_is_xyz, sorted(path.iterdir()))

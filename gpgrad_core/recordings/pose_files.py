@@ -159,10 +159,7 @@ def read_truth_file(path: Path) -> PoseFile:
 
 
 def positions_of(stamps: Float[Array, "n"], places: Float[Array, "n 3"]) -> PoseFile:
-    """Turn places at times [s] into true positions, east, north and up of the first one [m].
-
-    Places are latitude, longitude [degrees] and height [m].
-    """
+    """Turn latitude, longitude [degrees] and height [m] into positions from the first one [m]."""
     latitude, longitude, height = (float(number) for number in places[0])
     positions = east_north_up(places, places[0])
     return replace(_as_truth(stamps, positions), origin=(latitude, longitude, height))

@@ -180,10 +180,7 @@ def assemble(
     notes: tuple[str, ...] = (),
     name: str = "",
 ) -> Recording:
-    """Make a recording of all scans that a kind found, without those that have no pose.
-
-    The texts are all files but those of the scans.
-    """
+    """Make a recording of all scans that a kind found, without those that have no pose."""
     keys = scans.stamps if scans.keys is None else scans.keys
     if keys is None:
         keys = np.arange(len(scans.labels), dtype=np.float64)
@@ -249,10 +246,7 @@ def check_posed(
     params: BuildParams,
     first: str = "",
 ) -> tuple[str, ...]:
-    """Check which scans have a pose by stamps [s]; gives a note if some have none.
-
-    `trajectory` is the time span of the poses, in words; `first` the label of the first scan.
-    """
+    """Check which scans have a pose by stamps [s]; gives a note if some have none."""
     missing = int(np.sum(~located.valid))
     if missing == len(stamps):
         raise InputError(

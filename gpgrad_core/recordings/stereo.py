@@ -139,11 +139,7 @@ class Rig:
 def make_rig(
     left: CameraModel, right: CameraModel, between: Poses | None = None, *, rectified: bool = False
 ) -> Rig:
-    """Combine two cameras.
-
-    `between` is ``T_left_right``, where it is known apart from the calibration. Whether the images
-    are rectified is not seen on them.
-    """
+    """Combine two cameras; `between` is ``T_left_right``, if known apart from the calibration."""
     pl, pr = left.projection, right.projection
     offset = 0.0 if pl is None or pr is None else float(pl[0, 3] - pr[0, 3]) / float(pl[0, 0])
     if offset == 0.0 and rectified and between is not None:
@@ -311,10 +307,7 @@ def _least(layer: PixelMap, least: float) -> PixelMap:
 
 
 def _curvature(layer: PixelMap) -> PixelMap:
-    """The sum of the squares of both second differences across the window.
-
-    Where rocks and crests hide what is behind them, it is large though matching smooths the step.
-    """
+    """The sum of the squares of both second differences across the window."""
     import cv2  # noqa: PLC0415 - loads slowly
 
     one, apart = np.ones(1, np.float32), np.zeros(WINDOW + 2, np.float32)

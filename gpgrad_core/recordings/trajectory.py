@@ -176,11 +176,7 @@ class FrameTree:
         return down.inverse() @ up
 
     def ways(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
-        """The frames below the first common one of two, on the way up from each.
-
-        Raises:
-            InputError: If the way leads over a frame that has several parents.
-        """
+        """The frames below the first common one, on the way up; InputError if one is disputed."""
         up_target, up_source = self._way_up(target), self._way_up(source)
         common = next((frame for frame in up_target if frame in up_source), None)
         ways = [list(takewhile(lambda frame: frame != common, up)) for up in (up_target, up_source)]
@@ -254,11 +250,7 @@ def _turn(angle: float) -> float:
 
 
 def _growth(before: Float[Array, "3 3"], after: Float[Array, "3 3"]) -> float:
-    """Compute how much a position's standard deviation has grown, in its worst direction [m].
-
-    Odometry adds up independent steps: covariances of motions are differences of those of poses.
-    It is 0 if one of them is not known.
-    """
+    """Compute how much a position's standard deviation has grown, in its worst direction [m]."""
     if not np.isfinite(after - before).all():
         return 0.0
     return float(np.sqrt(max(0.0, float(np.linalg.eigvalsh(after - before)[-1]))))

@@ -96,18 +96,8 @@ class Voxels:
     def noise_std(self) -> Float[Array, "m"]:
         """Standard deviation of each mean's height [m], from what the scans say, or the scatter.
 
-        The scatter is that of the whole column of voxels; a single voxel would cut off the points
-        above and below it. Where a column has few points, the usual scatter at its range counts as
-        well.
-
-        A mean is as uncertain as one point, and not √n times more certain: most errors of its
-        points, above all those of the pose, are the same for all. Within a column, voxels with
-        more points are more certain.
-
-        If the scans say how uncertain their points are, their covariances are used instead, across
-        the slope of the ground: an error along a ray that grazes the ground hardly changes its
-        height, unless it runs uphill. Errors are the same for neighbours within a scan, and
-        partly so from scan to scan.
+        The scatter is that of the whole column of voxels: a single one would cut it off. A mean is
+        as uncertain as one point: most errors, above all those of the pose, are the same for all.
         """
         if self.sums.shape[1] > 6:
             return np.maximum(self._carried(), LEAST_NOISE)
@@ -189,10 +179,7 @@ def _usual(
 
 
 class VoxelSums:
-    """Adds scan after scan; sets of voxels of similar size are merged, like digits that carry.
-
-    So the cost of adding a scan does not depend on the size of the submap.
-    """
+    """Adds scan after scan; sets of voxels of similar size are merged, like digits that carry."""
 
     def __init__(self, size: float) -> None:
         self._size = size

@@ -488,11 +488,7 @@ class _Problem:
         return drifted * np.diag(stds**2)
 
     def _height_std(self, motion: Float[Array, "3"], step: _Step, by_noise: float) -> float:
-        """Compute the standard deviation of the height offset at the middles of the maps [m].
-
-        Either map may be the tilted one, so each has half of the tilt's variance, and half of that
-        on the way from the overlap's middle to its own.
-        """
+        """Compute the standard deviation of the height offset at the middles of the maps [m]."""
         tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
         query = _motion(motion).apply(self._query.disc[0][None])[0]
         ways = (np.sum((place - middle) ** 2) for place in (query, self._database.disc[0]))

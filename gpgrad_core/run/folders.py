@@ -146,10 +146,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 @contextlib.contextmanager
 def naming(output: Path) -> Generator[None]:
-    """Let an error of a disk that takes no more, while it is written to, name the output.
-
-    Another output that it names already, within the block, is the right one.
-    """
+    """Let an error of a disk that takes no more, while it is written to, name the output."""
     try:
         yield
     except OSError as error:

@@ -118,10 +118,7 @@ class Helper:
         self._listener.start()
 
     def ask(self, function: Callable[..., R], *arguments: object) -> Answer[R] | None:
-        """Let the other process run ``function(*arguments, progress=…)``; None if it is not free.
-
-        Only the function's name is sent: it is one of a module. Arguments must be picklable.
-        """
+        """Run ``function(*arguments, progress=…)`` of a module there; None if it is not free."""
         with self._lock:
             if not self._free:
                 return None
@@ -309,10 +306,7 @@ def beside(
     there: tuple[object, ...],
     progress: Progress = silent,
 ) -> tuple[R, R]:
-    """Call a function here and in the helper at once, each with half of the processors.
-
-    Without a free helper both calls are made here. The function is as for `Helper.ask`.
-    """
+    """Call a function here and in the helper at once, each with half of the processors."""
     first_half, second_half = part(progress, 0.0, 0.5), part(progress, 0.5, 1.0)
     answer = None if helper is None else helper.ask(function, *there)
     if answer is None:

@@ -27,10 +27,7 @@ _MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
 
 class Spool:
-    """A temporary file of arrays, which ends with the last of them.
-
-    The system reads what is looked at; it counts as memory of this process until `forget_pages`.
-    """
+    """A temporary file of arrays, which ends with the last of them."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] | None = None

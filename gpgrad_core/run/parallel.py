@@ -60,11 +60,7 @@ RETRIES = 3
 
 
 def workers(count: int, num_jobs: int) -> Executor:
-    """Start processes for `run_jobs`, or threads where there are few pairs of submaps.
-
-    Two processes are 1.9 times as fast as one, two threads 1.1 times: these wait for each other in
-    small NumPy calls. But processes take more than a second to start.
-    """
+    """Start processes for `run_jobs`; for few pairs threads, which start sooner but are slower."""
     if num_jobs < WORTH_PROCESSES:
         return ThreadPoolExecutor(count, thread_name_prefix="worker")
     methods = multiprocessing.get_all_start_methods()
@@ -146,10 +142,7 @@ def _keep_sockets_apart() -> ProcessLock:
 
 
 def _follow_the_parent() -> None:
-    """Ignore Ctrl-C, which the parent handles, and end when the parent ends.
-
-    A worker would wait for its next job for ever; but it holds the end of a pipe of the parent's.
-    """
+    """Ignore Ctrl-C, which the parent handles, and end when the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None  # this runs in a worker

@@ -264,10 +264,7 @@ class Store:
 
     @contextlib.contextmanager
     def _transaction(self, file: Path) -> Generator[sqlite3.Connection]:
-        """Open the index unless it is open, and check its tables.
-
-        To open it takes half as long as to read a result. Another process may have removed it.
-        """
+        """Open the index unless it is open, and check its tables."""
         if self._opened is not None and not self._opened.is_of(file):
             self._close()
         if self._opened is None:

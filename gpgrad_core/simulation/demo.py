@@ -10,11 +10,7 @@ from gpgrad_core.types import Dataset
 
 
 def demo_params() -> SimulationParams:
-    """The parameters with which ``assets/demo`` was simulated.
-
-    The dataset is small enough to ship. The camera's mast is taller than by default, so that a
-    rock field has fewer blind spots, and the heading drifts enough to be seen on a short drive.
-    """
+    """The parameters with which ``assets/demo`` was simulated."""
     return SimulationParams(
         seed=13,
         num_submaps=10,

@@ -243,10 +243,7 @@ leaves the others as they were. With other numbers here, a seed would make anoth
 
 
 def stream(*path: int) -> Generator:
-    """Make an independent random generator of a path of numbers that begins with the seed.
-
-    So one more submap does not change the others.
-    """
+    """Make an independent random generator of a path of numbers that begins with the seed."""
     return Generator(PCG64(SeedSequence(path)))
 
 

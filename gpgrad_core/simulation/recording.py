@@ -86,11 +86,7 @@ def simulate_recording(
 
 
 def _with_turns(track: Track) -> Track:
-    """Let the rover take its time where it turns on the spot.
-
-    A submap has no scans from there. A recording does, and odometry that is made from its scans
-    would be lost at a heading that jumps.
-    """
+    """Let the rover take its time where it turns on the spot."""
     change = np.diff(np.unwrap(track.yaw))
     xy, yaw = [track.xy[:1]], [track.yaw[:1]]
     for k, turn in enumerate(change):

@@ -41,10 +41,7 @@ AHEAD = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A drive out and back, as points with the distance `STEP`.
-
-    The rover turns on the spot at the far end, so the heading jumps there.
-    """
+    """A drive out and back, as points with the distance `STEP`."""
 
     xy: Float[Array, "n 2"]  # positions (n, 2) [m]
     yaw: Float[Array, "n"]  # heading of the rover at each position (n,) [rad]
@@ -154,12 +151,7 @@ def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
 def drive_lanes(
     length: float, step: float, sensor_range: float, swing: float, rng: Generator
 ) -> Float[Array, "n 2"]:
-    """Plan a drive of a length [m]: at each crossing straight on, left or right, never back.
-
-    The lattice of lanes grows with the drive, so that 3 of 10 lanes or more are driven again, in
-    either direction, after any time. The rover swings to either side of a lane. All lengths are in
-    metres; the drive is a little longer than asked for.
-    """
+    """Plan a drive of a length [m]: at each crossing straight on, left or right, never back."""
     lane = max(LEAST_LANE, RANGES_APART * sensor_range)
     count = int(np.ceil(ROUNDED * length / lane)) + 2
     nodes = lane * _walk(count, rng)

@@ -44,10 +44,8 @@ def scan(
 ) -> Float[Array, "n 3"]:
     """Measure the ground from one stop, as a camera, a LiDAR or an airborne scanner does.
 
-    From above, every point is seen. From the ground, rays go out over a fan of azimuths. Along
-    each azimuth the elevation angle of the ground is sampled outwards, and a ray meets the ground
-    where that angle first reaches its own. So all rays of one azimuth are traced at once, and
-    ground behind a crest is hidden. The points are in the world [m].
+    Along each azimuth, a ray meets the ground where its angle of elevation first reaches the ray's:
+    all rays of one azimuth are traced at once. The points are in the world [m].
     """
     if params.sensor == "airborne":
         return _scan_from_above(terrain, stop, params, rng)

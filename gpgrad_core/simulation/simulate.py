@@ -67,10 +67,7 @@ def simulate_dataset(
 
 
 def drive_over(world: "SimulatedWorld", progress: Progress = silent) -> Iterator[Submap]:
-    """Drive over a world of `make_world`, and give each submap as soon as it is made.
-
-    The progress goes on from a fraction of 0.2.
-    """
+    """Drive over a world of `make_world`, and give each submap as soon as it is made."""
     params, names, truth = world.params, names_of(world.params), list[Pose]()
     for block in blocks_of(params):
         low, high = (0.2 + 0.8 * k / params.num_submaps for k in (block.start, block.stop))
@@ -91,12 +88,7 @@ def simulate_into(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Simulate a dataset into a folder; each cloud is written as soon as it is made.
-
-    The folder is that of `simulate_dataset` and `write_dataset`, byte for byte, but the clouds are
-    never together in memory. It appears when all of it is written. On the route roaming, an
-    executor's processes share the work.
-    """
+    """Simulate a dataset into a folder; each cloud is written as soon as it is made."""
     check_vacant(directory, overwrite=overwrite)
     check_route(params, terrain)
     plan_track(params)  # refuses a route before the work
@@ -231,11 +223,7 @@ def _level_pose(x: float, y: float, z: float, yaw: float) -> Pose:
 
 
 def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: float) -> list[Pose]:
-    """Simulate odometry: each step has a small error of its length and of its heading.
-
-    The step [m] is the distance from pose to pose: many short ones drift as much as a few long
-    ones. The first pose is the true one.
-    """
+    """Simulate odometry: each step has a small error of its length and of its heading."""
     estimated = [truth[0]]
     more = np.sqrt(params.spacing / step)
     for before, after in pairwise(truth):

@@ -96,11 +96,7 @@ ROWS: dict[str, Rows] = {
 
 
 def params_on(ground: str, **changes: object) -> SimulationParams:
-    """Make parameters that suit a kind of ground, with some changed.
-
-    Raises:
-        InputError: If there is no such ground, or a value is out of bounds.
-    """
+    """Make parameters that suit a kind of ground, with some changed."""
     suited = ROWS[ground].defaults if ground in ROWS else {}
     return SimulationParams(**cast("dict[str, Any]", {**suited, "ground": ground, **changes}))
 
@@ -210,11 +206,7 @@ class Wind:
         patches: Float[Array, "rows columns"],
         vigour: Float[Array, "rows columns"],
     ) -> Float[Array, "rows columns"]:
-        """Compute patches of ripples along bent crests, gentle to windward, steep to leeward.
-
-        Positions are in metres. Fields of standard deviation 1 say how the crests are bent, where
-        there are ripples, and how high they are.
-        """
+        """Compute patches of ripples along bent crests, gentle to windward, steep to leeward."""
         distance = np.cos(self.heading) * x[None, :] + np.sin(self.heading) * y[:, None]
         phase = 2.0 * np.pi * (distance + 0.9 * bend) / self.wavelength
         cover = np.clip(patches + 0.3, 0.0, 1.0) * np.clip(1.0 + 0.5 * vigour, 0.2, 2.0)
@@ -333,10 +325,7 @@ def lay_rock(
     diameter: float,
     facets: Float[Array, "facets 3"],
 ) -> None:
-    """Add a rock to an elevation: its planes are facets, its centre and diameter are in metres.
-
-    It lies on the ground, which may be the same array; cell (0, 0) lies at x = y = 0.
-    """
+    """Add a rock to an elevation: its planes are facets, its centre and diameter are in metres."""
     place, x, y = _window(elevation, centre, 0.8 * diameter)
     if elevation[place].size == 0:
         return
@@ -390,11 +379,7 @@ def make_ground(
 def ground_of(
     model: ElevationModel, params: SimulationParams, track: Float[Array, "n 2"]
 ) -> HeightField:
-    """Make the ground of a simulation from the middle of an elevation model.
-
-    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, away
-    from the track [m]; what the parameters say of relief, hills, ripples and craters is not used.
-    """
+    """Make the ground of a simulation from the middle of an elevation model."""
     if params.ground != "varied":
         raise InputError(
             f"{model.path}: the ground {params.ground!r} is made, and cannot be laid on an "

@@ -113,10 +113,7 @@ class AnchorModel:
         return max(self.elevations.cell)
 
     def heights(self, places: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        """Interpolate the heights [m] at nearby places of the map (n, 2) [m] by a cubic spline.
-
-        They are NaN beside cells without a height.
-        """
+        """Interpolate the heights [m] at places (n, 2) [m] by a cubic spline; NaN beside gaps."""
         cells = ((places - self.elevations.corner) / self.elevations.cell)[:, ::-1]
         # What lies so far away does not change a cubic spline.
         low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - SPLINE_REACH, 0)
@@ -271,10 +268,7 @@ def _relief_within(
     width: float,
     cell: float,
 ) -> float:
-    """Measure the variance of a submap's mean height [m²] by relief within cells of these owners.
-
-    A surface through the means of cells does not show it.
-    """
+    """Measure the variance of a submap's mean height [m²] by relief within these cells."""
     columns = np.column_stack([np.ones(len(points)), points[:, :2] - points[:, :2].mean(axis=0)])
     left = points[:, 2] - columns @ np.linalg.lstsq(columns, points[:, 2], rcond=None)[0]
     if 2 * cell < width:
@@ -283,11 +277,7 @@ def _relief_within(
 
 
 def surface_anchor(name: str, lookup: Lookup, pose: Pose, std: float, shared: float) -> Anchor:
-    """Make an anchor of the model under a submap.
-
-    The standard deviation of the model's heights [m] is that of their mean under a submap too,
-    because the errors of neighbouring cells are alike.
-    """
+    """Make an anchor of the model under a submap."""
     variance = OWN_STD**2 + shared * std**2 + lookup.unseen
     information = np.outer(lookup.by_pose, lookup.by_pose) / variance
     turn = Rotation.identity()
@@ -588,10 +578,7 @@ class _ModelSearch:
         return self._width >= FEWEST_ACROSS * self._model.cell
 
     def first(self, poses: Mapping[str, Pose], progress: Progress) -> list[Anchor]:
-        """Find the traverse on the whole model; poses are in its own frame.
-
-        The first anchor is the one that most others agree with.
-        """
+        """Find the traverse on the whole model; poses are in its own frame."""
         locations: list[Location] = []
         if self.possible:
             windows = cut_windows(self._model.elevations, self._width)
@@ -630,10 +617,7 @@ class _ModelSearch:
         earlier: Collection[str],
         progress: Progress,
     ) -> list[Anchor]:
-        """Search submaps without a place near their estimated poses.
-
-        If none of the first few is found, the model is too coarse, and the search ends.
-        """
+        """Search submaps without a place near their estimated poses."""
         missing, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
         for name, covariance in zip(self._names, covariances, strict=True):
             if name in earlier:

@@ -107,11 +107,7 @@ def _start_by_origin(
 def georeference_on(
     anchor: AnchorModel, path: Path | None, origin: str | None, crs: str | None
 ) -> Georeference | None:
-    """Place the map in the model's coordinates, if an option asks for coordinates.
-
-    Raises:
-        InputError: If the model is in another system than the option names.
-    """
+    """Place the map in the model's coordinates, if an option asks for coordinates."""
     if crs is None and origin is None:
         return None
     check_libraries()
@@ -168,10 +164,7 @@ def find_coordinates(
 
 
 def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
-    """Find ``T_target_places``, about the vertical, that fits positions [m] best.
-
-    It has no turn if all places are nearly one.
-    """
+    """Find ``T_target_places``, about the vertical, that fits positions [m] best."""
     middle, aim = places.mean(axis=0), target.mean(axis=0)
     x, y, _ = (places - middle).T
     along, across, _ = (target - aim).T

@@ -98,10 +98,7 @@ def trajectory_error(
 
 
 def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Move points [m] onto their targets by the best rigid motion (Umeyama 1991, Eqs. 39 to 41).
-
-    Points on one line leave the turn about it open, which does not change the remaining distances.
-    """
+    """Move points [m] onto their targets by the best rigid motion (Umeyama 1991, Eqs. 39 to 41)."""
     middle, aim = points.mean(axis=0), target.mean(axis=0)
     left, _, right = np.linalg.svd((target - aim).T @ (points - middle))
     mirrored = np.linalg.det(left) * np.linalg.det(right) < 0
@@ -110,10 +107,7 @@ def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Fl
 
 
 def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> HeightDifferences:
-    """Compare the heights of overlapping submaps with poses ``T_world_submap``, by cells of 10 cm.
-
-    The submaps are iterated once.
-    """
+    """Compare the heights of overlapping submaps, ``T_world_submap`` by id, by cells of 10 cm."""
     footprints = [
         make_footprint(poses[submap.id].apply(submap.points))
         for submap in submaps

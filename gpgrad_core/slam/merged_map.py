@@ -241,11 +241,7 @@ def merge_maps(
 
 
 def _thinned(gathered: TiledPoints, length_scale: float, folder: Path) -> TileStore:
-    """Replace points by the means of small cells in all tiles that this at least halves.
-
-    So memory is bounded where many submaps overlap. It comes before any tile reads across its edge,
-    so that both sides of an edge have the same means.
-    """
+    """Replace points by the means of small cells in all tiles that this at least halves."""
     folder.mkdir()
     thinned = TileStore(folder, gathered.store.side, gathered.store.columns)
     for tile in gathered.store.tiles:
@@ -319,10 +315,7 @@ def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> sli
 def _fading(
     positions: Float[Array, "n"], low: float, side: float, blend: float
 ) -> Float[Array, "n"]:
-    """The weight of a tile along one axis; those of neighbouring tiles add up to 1.
-
-    It is 1 inside and falls smoothly to 0 one blend beyond the edges.
-    """
+    """The weight of a tile along one axis; those of neighbouring tiles add up to 1."""
     rising, falling = (
         np.clip((distance + blend) / (2 * blend), 0.0, 1.0)
         for distance in (positions - low, low + side - positions)
@@ -333,10 +326,7 @@ def _fading(
 
 
 def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
-    """Turn weighted sums into means, by rows, and empty the unknown cells.
-
-    The gradient reuses the array of the weights.
-    """
+    """Turn weighted sums into means, by rows, and empty the unknown cells."""
     weight = sums["weight"]
     for start in range(0, len(weight), ROWS_AT_ONCE):
         rows = slice(start, start + ROWS_AT_ONCE)

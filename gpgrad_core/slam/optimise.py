@@ -243,10 +243,7 @@ def _solve(problem: "Problem", params: SolverParams, progress: Progress) -> Opti
 
 
 def _height_drift(graph: PoseGraph) -> tuple[float, bool]:
-    """Find the drift that explains the height of the median closure, and if it is a steady climb.
-
-    It is a share of the distance of each odometry edge, whose errors are independent.
-    """
+    """Find the drift that explains the median closure's height, and if it is a steady climb."""
     way = {name: np.array([k, 0.0, 0.0]) for k, name in enumerate(graph.poses)}
     for edge in graph.edges:
         if edge.kind == "odometry":  # where the traverse starts, distances since and their squares
@@ -327,10 +324,7 @@ def optimise_onward(
 def _sharpen(
     problem: "Problem", limit: float, progress: Progress
 ) -> tuple["gtsam.Values", list[Float[Array, "n 7"]]]:
-    """Run rounds of growing sharpness until each closure is clearly right or wrong.
-
-    It gives the values, and the poses after each round.
-    """
+    """Run rounds of growing sharpness until each closure is clearly right or wrong."""
     values = problem.start
     chi_square = problem.chi_squares(values)
     # The sharpness at which every closure lies on the slope of the truncated loss, Remark 5.
@@ -357,10 +351,7 @@ def _sharpen(
 def _converge(
     problem: "Problem", values: "gtsam.Values", limit: float
 ) -> tuple["gtsam.Values", Float[Array, "loops"]]:
-    """Solve with the right closures alone until their choice no longer changes.
-
-    It gives the values, and the weight of each closure, 0 or 1.
-    """
+    """Solve with the right closures alone until their choice no longer changes."""
     last = consistent = problem.chi_squares(values) <= limit
     for _ in range(MOST_ROUNDS):
         values = problem.improve(values, consistent.astype(np.float64))
@@ -397,10 +388,7 @@ def _take_back(
 def measure_covariances(
     graph: "PoseGraph | Problem", result: OptimisedGraph, names: Sequence[str] | None = None
 ) -> Float[Array, "n 3 3"]:
-    """Measure the covariances of the centres' x [m], y [m] and yaw [rad] in the order of the names.
-
-    See `measure_pose_covariances`.
-    """
+    """Measure the covariances of the centres' x [m], y [m] and yaw [rad] in the names' order."""
     plane = np.array([0, 1, 5])
     return measure_pose_covariances(graph, result, names)[:, plane[:, None], plane]
 
@@ -427,11 +415,7 @@ def measure_pose_covariances(
 
 
 def check_solver() -> ModuleType:
-    """Load GTSAM; call this before long work that ends in a pose graph.
-
-    Raises:
-        InputError: If GTSAM is not installed; it has no wheels for Windows.
-    """
+    """Load GTSAM, before long work that ends in a pose graph; InputError if it is missing."""
     try:
         return load_library("gtsam", "gtsam>=4.3")
     except InputError as error:
@@ -459,13 +443,7 @@ class _Term:
 
 
 class Problem:
-    """A pose graph as GTSAM's factors, edges before anchors; some of these may be wrong.
-
-    Attributes:
-        graph: The pose graph.
-        keys: Number of each submap.
-        start: Where solving starts.
-    """
+    """A pose graph as GTSAM's factors, edges before anchors; some of these may be wrong."""
 
     _chi_squares: "tuple[gtsam.Values, Float[Array, 'loops']] | None" = None  # and where
 
@@ -476,10 +454,7 @@ class Problem:
         *,
         last: "Problem | None" = None,
     ) -> None:
-        """Make the factors; what a graph has in common with the last one is not made again.
-
-        A start of None takes the graph's own poses.
-        """
+        """Make the factors; what a graph has in common with the last one is not made again."""
         self._gtsam = gtsam = check_solver()
         # Variables are the poses of the centres: a frame whose origin lies far from its ground
         # would turn each error of a yaw into one of its position.
@@ -535,10 +510,7 @@ class Problem:
     def improve(
         self, values: "gtsam.Values", weight: Float[Array, "loops"], steps: int | None = None
     ) -> "gtsam.Values":
-        """Move the values closer to the solution by so many steps; None takes as many as needed.
-
-        The doubted edges and anchors have weights in [0, 1].
-        """
+        """Move the values closer to the solution by so many steps; None takes as many as needed."""
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k, importance in zip(self._doubted, weight.tolist(), strict=True):
             if importance > 0:

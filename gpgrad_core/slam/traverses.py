@@ -155,10 +155,7 @@ def _best_closure(
     placed: set[int],
     waiting: set[int],
 ) -> tuple[Edge, int, int] | None:
-    """Find the closure from a placed traverse to a waiting one that most others agree with.
-
-    It gives the closure, how many agree with it (itself included), and the traverse that it places.
-    """
+    """Find the closure from a placed traverse to a waiting one that most others agree with."""
     best: tuple[Edge, int, int] | None = None
     highest = (0, 0.0)
     for candidate in sorted(waiting):
@@ -194,10 +191,7 @@ def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge |
 
 
 def _frame(edge: Edge, poses: dict[str, Pose], *, joins_end: bool) -> Pose:
-    """``T_world_frame`` of a traverse's own level frame, according to one closure.
-
-    `joins_end` says whether the closure's end is in the traverse to place; else its start is.
-    """
+    """``T_world_frame`` of a traverse's own level frame, according to one closure."""
     if joins_end:
         T_world_submap, T_frame_submap = poses[edge.start] @ edge.T_start_end, poses[edge.end]
     else:
@@ -245,11 +239,7 @@ class _Odometry:
                 self._since_start[name] = total
 
     def agree(self, edge: Edge, other: Edge) -> bool:
-        """Whether two closures between two traverses, in one direction, can both be right.
-
-        They and the odometry between their ends form a loop, whose gap is compared to the standard
-        deviation of all four motions.
-        """
+        """Whether two closures between two traverses, in one direction, can both be right."""
         along_ends = self._motion(edge.end, other.end)
         there = edge.T_start_end @ along_ends
         back = self._motion(edge.start, other.start) @ other.T_start_end

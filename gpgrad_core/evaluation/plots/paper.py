@@ -67,10 +67,7 @@ def write_figures(
     command: Callable[[frozenset[int]], str],
     progress: Progress = silent,
 ) -> tuple[str, ...]:
-    """Draw the figures that can be made, and write the page, into a folder that exists.
-
-    `command` gives the command that makes the figures of some numbers.
-    """
+    """Draw the figures that can be made, and write the page, into a folder that exists."""
     figures, notes = list_figures(subjects, numbers)
     widths: dict[str, str] = {}
     for k, figure in enumerate(figures):

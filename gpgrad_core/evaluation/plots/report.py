@@ -46,10 +46,7 @@ def draw_report(evaluation: Evaluation) -> dict[str, Figure]:
 
 
 def draw_precision_recall(evaluation: Evaluation, *, by_inliers: bool = False) -> Figure:
-    """Draw precision over recall of all methods, one panel per rule, as in the paper's Fig. 8.
-
-    By inliers, the threshold is their number 1 … 20, as in the paper, instead of the score.
-    """
+    """Draw precision over recall of all methods, one panel per rule, as in the paper's Fig. 8."""
     swept = "the number of inliers, n = 1 to 20" if by_inliers else "each method's score"
     figure = new_figure(
         13.0,

@@ -68,11 +68,7 @@ def colour_of(number: int) -> str:
 
 
 def line_of(number: int, *, printed: bool = False) -> LineStyle:
-    """The line style of a method; its dashes change when the colours are used up.
-
-    The first method's is wider, so that it can be seen below another. In print all have their own
-    dashes, as paper may be grey.
-    """
+    """The line style of a method; its dashes change when the colours are used up."""
     dashes = DASHES[(number if printed else number // len(COLOURS)) % len(DASHES)]
     first, others = (2.0, 1.1) if printed else (4.0, 1.6)
     width = others if number else first
@@ -86,11 +82,7 @@ def new_figure(
     *,
     layout: Literal["constrained", "compressed"] | None = "constrained",
 ) -> Figure:
-    """Make an empty figure that draws itself without a screen.
-
-    Width and height are in inches of 110 pixels. The compressed layout moves panels together that
-    keep their shape; with None, `add_panel` gives the places.
-    """
+    """Make a figure that draws itself without a screen, in inches of 110 pixels."""
     figure = Figure(figsize=(width, height), dpi=110, layout=layout)
     FigureCanvasAgg(figure)
     if title:
@@ -134,11 +126,7 @@ def add_panel(
     height: float,
     projection: Literal["3d"] | None = None,
 ) -> Axes:
-    """Add a panel by the edges of its room, from the upper left corner of the figure [inches].
-
-    A panel from above keeps its shape in that room. Labels need 0.4 inches on the left and below,
-    a title 0.2 above, and a colour bar 0.6 on the right.
-    """
+    """Add a panel by the edges of its room, from the upper left corner of the figure [inches]."""
     full_width, full_height = figure.get_size_inches()
     low = 1 - (top + height) / full_height
     room = (left / full_width, low, width / full_width, height / full_height)

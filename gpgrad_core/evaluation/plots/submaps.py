@@ -328,10 +328,7 @@ def _placed(pose: Pose, submap: Submap, most: int = MOST_POINTS) -> Float[Array,
 
 
 def _mark_origin(panel: Axes, submap: Submap, pose: SE2, colour: str | None) -> None:
-    """Mark a submap's origin; its number stands on the left of where the rover looked.
-
-    So the numbers of a way out and of the way back beside it do not cover each other.
-    """
+    """Mark a submap's origin; its number stands on the left of where the rover looked."""
     number = index_of(submap.id)
     panel.plot([pose.x], [pose.y], "k+", markersize=4, markeredgewidth=0.8, zorder=5)
     panel.annotate(
@@ -363,10 +360,7 @@ def _joined(first: Grid, second: Grid) -> Grid:
 
 
 def _draw_associations(panel: Axes, pair: ShownPair, beside: Grid, high: float) -> None:
-    """Draw both gradient maps side by side, and a line for each association.
-
-    `beside` is the database's grid beside the query's; `high` is the gradient drawn in white.
-    """
+    """Draw both gradient maps side by side, and a line for each association."""
     left, right, matches = pair.query.map, pair.database.map, pair.matches
     for grid, gradient_map in ((left.grid, left), (beside, right)):
         veil = _veil(gradient_map, pair.query.mask)
@@ -404,10 +398,7 @@ def _tinted(picture: Picture, veil: LayerValues, colour: tuple[float, ...] | Pic
 def _overlaid(
     query: GradientMap, database: GradientMap, T_database_query: SE2, mask: float, high: float
 ) -> tuple[Grid, Picture]:
-    """Lay both gradient maps over each other on a grid in the database's frame.
-
-    Each is the fainter the larger its variance.
-    """
+    """Lay both gradient maps over each other on a grid in the database's frame."""
     sides = ((query, T_database_query), (database, SE2()))
     corners = [
         motion.apply(np.array([(x, y) for x in side.grid.x[[0, -1]] for y in side.grid.y[[0, -1]]]))

@@ -285,10 +285,7 @@ def _mutual_information(numbers: NDArray[np.floating], width: int) -> tuple[floa
 
 
 def _are_unlike(numbers: NDArray[np.floating], width: int) -> bool:
-    """Whether every second or third row of four has other things in it, not other points.
-
-    Lasers that take turns see alike in x and y. A point far away does not change the quartiles.
-    """
+    """Whether every second or third row of four has other things in it, not other points."""
     if len(numbers) < LEAST_SPREAD:
         return False
     with np.errstate(all="ignore"):

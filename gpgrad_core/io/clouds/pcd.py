@@ -62,11 +62,7 @@ class _PcdHeader:
 
 
 def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read the points of a PCD file, and further fields of one number a point.
-
-    The point cloud library packs red, green and blue into three bytes of a field ``rgb`` or
-    ``rgba``, which may be declared as a float.
-    """
+    """Read a PCD file; its ``rgb`` or ``rgba`` packs three bytes, declared perhaps as a float."""
     data = read_regular(path)
     header = _parse_header(data, path)
     for name in "xyz":

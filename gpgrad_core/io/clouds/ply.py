@@ -99,11 +99,7 @@ class _PlyHeader:
 
 
 def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read the vertices of a PLY file, ascii or binary of either byte order.
-
-    `names` are further properties of each vertex to read. Colours that are whole numbers are
-    divided by the largest number of their type; floats are not changed.
-    """
+    """Read the vertices of a PLY file, ascii or binary of either byte order."""
     data = read_regular(path)
     header = _parse_header(data, path)
     kinds = {item.name: item.kind for item in header.vertex(path).properties if not item.length}

@@ -406,10 +406,7 @@ def closure_as_decided(closure: LoopClosure, decision: Decision | None) -> LoopC
 
 
 def rounded(closure: LoopClosure) -> LoopClosure:
-    """Round to the digits of a file; a covariance with which no graph can be solved is dropped.
-
-    Without a covariance the heights were not aligned either.
-    """
+    """Round to the digits of a file; a covariance with which no graph can be solved is dropped."""
     original = closure.registration
     motion, covariance = original.T_database_query, _usable(original.covariance)
     numbers = ("dissimilarity", "mean_dissimilarity", "overlap_area", "score", "scale", "agreement")

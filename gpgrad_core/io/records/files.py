@@ -37,10 +37,7 @@ def check_output(
 
 
 def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
-    """Check that no output would replace an input, or become a part of it or of any dataset.
-
-    Of a folder that is read, the clouds, images, poses and ``dataset.toml`` are inputs.
-    """
+    """Check that no output would replace an input, or become a part of it or of any dataset."""
     read = [path for path in inputs if path is not None]
     for output in (path for path in outputs if path is not None):
         folder = output.resolve().parent
@@ -84,11 +81,7 @@ def _belongs(output: Path, folder: Path) -> bool:
 
 @contextmanager
 def replacing(path: Path | str) -> Generator[Path]:
-    """Provide a temporary path to write to, and rename it to `path` if the block succeeds.
-
-    The name is locked meanwhile against other processes' records. A reader never sees half a file,
-    and after a failure the old file is still there.
-    """
+    """Provide a temporary path to write to, and rename it to `path` if the block succeeds."""
     path = check_output(path)
     _remove_left(path)
     # The ending stays the same, because writers choose the format by it.

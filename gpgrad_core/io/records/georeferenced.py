@@ -96,11 +96,7 @@ def write_geojson(
 def write_kml(
     path: Path, tracks: Mapping[str, Sequence[str]], places: Mapping[str, Float[Array, "3"]]
 ) -> None:
-    """Write traverses as KML 2.2 (OGC 07-147r2); see `write_geojson`.
-
-    Lines follow the ground, because heights above an ellipsoid are not those above the sea, by
-    which such programs measure.
-    """
+    """Write traverses as KML 2.2 (OGC 07-147r2), on the ground: KML's heights are above the sea."""
     parts: list[str] = []
     for track, names in tracks.items():
         line = " ".join(_written(places[name]) for name in names)

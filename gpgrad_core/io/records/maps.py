@@ -78,11 +78,7 @@ def write_map(
 
 
 def _check_digits(path: Path, vertices: Array, resolution: float) -> None:
-    """Refuse a mesh so far from its origin that numbers of 32 bits, which trimesh writes, move it.
-
-    Raises:
-        InputError: If they move it by a tenth of a cell.
-    """
+    """Refuse a mesh so far from its origin that its numbers of 32 bits move it by a tenth cell."""
     furthest = float(np.abs(vertices).max(initial=0.0))
     step = float(np.spacing(np.float32(furthest)))
     if step > 0.1 * resolution:
@@ -110,12 +106,7 @@ def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
 
 
 def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
-    """Write one band per layer, north up, with GeoTIFF's tags for scale and position.
-
-    The frame is local, so no coordinate system is named. Geographic programs still read the cell
-    size and the corner from the tags, and GDAL also the names of the bands. NaN means no data.
-    Memory-mapped layers are read tile by tile.
-    """
+    """Write one band per layer, north up, with GeoTIFF's tags for scale and position."""
     import tifffile  # noqa: PLC0415 - for this format only; it would slow down every start
 
     rows, columns = grid.shape
