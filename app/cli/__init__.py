@@ -11,9 +11,8 @@ from typing import Protocol, cast
 
 import tyro
 
-from app.cli.events import EVENTS, Started
 from app.cli.flags import JSON, one_line_usage, parse
-from app.cli.terminal import FAILED, exit_code, say
+from app.cli.terminal import EVENTS, FAILED, Started, exit_code, say
 from app.ending import INTERRUPTED
 from gpgrad_core import __version__
 from gpgrad_core.errors import InputError

@@ -25,7 +25,7 @@ class Demo(Serving):
         self.serve(self._opened, "a simulated drive")
 
     def _opened(self, memo: Memo, stage: OpeningProgress) -> "Opened":
-        from app.viewer.session.simulated import begin_drive  # noqa: PLC0415 - loads slowly
+        from app.viewer.session.following import begin_drive  # noqa: PLC0415 - loads slowly
 
         opened = begin_drive(self.seed, memo, stage, stage.show)
         say("The rover drives")

@@ -7,9 +7,8 @@ from typing import Annotated, Any, TypeAlias
 import tyro
 from typing_extensions import Doc
 
-from app.cli.events import EVENTS, Closure
 from app.cli.inputs import CandidatesFlag, Comparing, DatasetPath, tell_damaged
-from app.cli.terminal import conclude, progress_bar, say, warn
+from app.cli.terminal import EVENTS, Closure, conclude, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.comparing import Compared, compare_dataset
 from gpgrad_core.detection import PipelineParams

@@ -1,18 +1,23 @@
 """What the command line says: results, notes, progress, and errors as exit codes.
 
-With ``--json`` all of it is events on standard output; see `app.cli.events`.
+With ``--json`` all of it is events on standard output, each in a line of JSON. The guide's table of
+events is a promise.
 """
 
 import contextlib
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator
 from concurrent.futures import Executor
 from pathlib import Path
 
-from app.cli.events import EVENTS, Error, Info, ProgressEvent, Result, Warned
+import msgspec
+from msgspec import Struct
+
 from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
+from gpgrad_core import __version__
 from gpgrad_core.errors import InputError, message_of
 from gpgrad_core.run import Progress, silent
 
@@ -21,6 +26,92 @@ BETWEEN = 0.5
 """Least time between two lines of progress [s]."""
 NO_ROOM = "there is too little memory, or a library cannot be loaded"
 """What it means that the system refuses memory or a library."""
+
+
+class Event(Struct, tag_field="event", tag=str.lower):
+    """One line; its first key is ``event``, the name of the class in small letters."""
+
+
+class Started(Event):
+    """The first event of a run."""
+
+    verb: str
+    gpgrad: str = __version__
+
+
+class ProgressEvent(Event, tag="progress"):
+    """How much of a stage is done, at most twice a second, and 1 at its end."""
+
+    stage: str
+    fraction: float
+
+
+class Info(Event):
+    """A line of information."""
+
+    text: str
+
+
+class Warned(Event, tag="warning"):
+    """What was left out or assumed; standard error has it too."""
+
+    text: str
+
+
+class Closure(Event):
+    """A loop closure, as soon as it is decided."""
+
+    query: str
+    database: str
+    method: str
+    score: float
+    num_inliers: int
+    overlap_area: float
+    reason: str
+    T_database_query: dict[str, float] | None
+    z_offset: float | None
+
+
+class Result(Event):
+    """The last event of a run that succeeds."""
+
+    text: list[str]
+    output: str | None
+    values: dict[str, object]
+
+
+class Error(Event):
+    """The last event of a run that fails; standard error has its text too."""
+
+    exit_code: int
+    text: str
+
+
+class Events:
+    """Writes events to standard output, on request; threads may share it."""
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self._lock = threading.Lock()
+        self._encoder = msgspec.json.Encoder()
+
+    @contextlib.contextmanager
+    def on(self, wanted: bool) -> Generator[None]:
+        before, self.wanted = self.wanted, wanted
+        try:
+            yield
+        finally:
+            self.wanted = before
+
+    def tell(self, event: Event) -> None:
+        """Write an event; numbers that are not finite become null."""
+        if self.wanted:
+            line = self._encoder.encode(event).decode("utf-8")
+            with self._lock:
+                print(line, flush=True)  # noqa: T201 - the output
+
+
+EVENTS = Events()
 
 
 def exit_code(work: Callable[[], None]) -> int:

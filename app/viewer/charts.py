@@ -15,26 +15,18 @@ from gpgrad_core.arrays import Array, NDArray
 
 @dataclass(frozen=True)
 class Axis:
-    """Where values lie on a chart: evenly between two places.
+    """Where values lie on a chart: evenly between two places."""
 
-    Attributes:
-        low: The value at the start.
-        high: The value at the end.
-        start: Place of the low end, in the chart's units.
-        end: Place of the high end; it may lie before the start, as on an axis that points up.
-    """
-
-    low: float
-    high: float
-    start: float
-    end: float
+    low: float  # the value at the start
+    high: float  # the value at the end
+    start: float  # place of the low end, in the chart's units
+    end: float  # place of the high end; it may lie before the start, as on an axis that points up
 
     def __call__(self, value: float) -> float:
         """The place of a value; those beyond the ends lie at the ends."""
         return float(self.places(np.array([float(value)]))[0])
 
     def places(self, values: Float[Array, "n"]) -> Float[NDArray[np.float64], "n"]:
-        """The places of values."""
         low, high = self.low, self.high
         values = np.clip(values, min(low, high), max(low, high))
         shares = (values - low) / max(high - low, 1e-12)

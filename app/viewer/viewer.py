@@ -54,18 +54,14 @@ LONGEST_OPENING = 10.0
 
 
 class OpeningProgress:
-    """Shows in the middle of every page how far it is, until there is a session to show.
-
-    Attributes:
-        memo: Stores results of a submap.
-    """
+    """Shows in the middle of every page how far it is, until there is a session to show."""
 
     def __init__(self, server: viser.ViserServer, memo: Memo, closed: threading.Event) -> None:
         """Show it; once closed, nothing is opened any more."""
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
-        self.memo = memo
+        self.memo = memo  # stores results of a submap
         self._server, self._closed = server, closed
         self._line = gui.add_html("")
         self._ground: FirstGround | None = None
@@ -94,7 +90,6 @@ class OpeningProgress:
         self._ground.add(submap)
 
     def remove(self) -> None:
-        """Make room for the session."""
         self._line.remove()
         self._server.flush()
 
@@ -125,28 +120,16 @@ class Viewer:
     ) -> None:
         """Start serving; returns at once.
 
-        Args:
-            dataset: What to open with. Something that opens one is called in a thread of its own,
-                and pages show how far it is; what it raises is raised by `run_forever`.
-            params: What to start with and to reset to; None takes what the dataset prefers. What is
-                automatic is fitted to the dataset.
-            host: Address to listen on. If other machines can reach it, everybody must bring the
-                token that `link` ends with.
-            port: Port to listen on; if it is taken, the next free one. 0 takes any.
-            source: Path of the dataset, for the box in which it can be changed.
-            saved: What to begin with in place of that.
-            sessions: "shared": all pages see and change the same, unless one chooses to work alone
-                from there. "separate": each page has a session of its own, which ends with it.
-            permissions: What pages may read and write.
-            admission: Who may come in.
-            limits: Limits of the pages.
-            store: Keeps the fits of datasets for later runs.
-            memory: Budget for this process and its helper together [bytes]; None takes a share of
-                the machine's.
-            on_full: Called once, with a sentence, when the budget cannot be met.
+        Something that opens a dataset is called in a thread of its own, and pages show how far it
+        is; what it raises is raised by `run_forever`. It starts with ``params`` and resets to them;
+        None takes what the dataset prefers, and what is automatic is fitted to it. ``saved`` is
+        what to begin with in place of that. ``source`` is the path of the dataset, for the box in
+        which it can be changed. If the port is taken, the next free one is used, and 0 takes any.
 
-        Raises:
-            InputError: If the dataset prefers parameters that there are not.
+        In "shared" sessions all pages see and change the same, unless one chooses to work alone
+        from there; a "separate" one ends with its page. The store keeps the fits of datasets for
+        later runs. The memory is a budget for this process and its helper together [bytes]; when it
+        cannot be met, ``on_full`` is called once, with a sentence.
         """
         budget = default_budget() if memory is None else memory
         self._memo = Memo(round(MEMO_SHARE * budget), store)
@@ -206,7 +189,6 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Address of the page, without the token."""
         host = self._server.get_host()
         shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self._server.get_port()}"
@@ -230,11 +212,7 @@ class Viewer:
             return (*shared, *self._separate.values())
 
     def run_forever(self) -> None:
-        """Serve until `close` or Ctrl-C (KeyboardInterrupt).
-
-        Raises:
-            BaseException: What was raised while the dataset was being opened.
-        """
+        """Serve until `close` or Ctrl-C; raises what was raised while opening the dataset."""
         while not self._closed.wait(0.5 if self._ready.is_set() else 0.05):
             if self._failure is not None:
                 raise self._failure
@@ -246,7 +224,6 @@ class Viewer:
         )
 
     def close(self) -> None:
-        """Stop working and serving."""
         if self._closed.is_set():
             return
         self._closed.set()

@@ -185,7 +185,6 @@ class Framing(Feature):
         return self._pair.camera(self._desk.state, canvas, forward, parallel=parallel)
 
     def _on_canvas(self, page: viser.ClientHandle) -> None:
-        """Called when a page is there, or when its canvas has changed."""
         self._lead()
         with self._lock:
             is_new = page not in self._watched
@@ -207,7 +206,6 @@ class Framing(Feature):
             self._throttle.request(page)
 
     def _lead(self) -> None:
-        """Fit submaps and marks to the canvas of the page that came first."""
         canvases = self._desk.canvases
         measured = {
             number: page for number, page in pages(self._desk.host).items() if canvases.knows(page)
@@ -283,7 +281,6 @@ class Framing(Feature):
         }
 
     def _move_swipe(self) -> None:
-        """Move the handle of the swipe to where its line is by now."""
         at = None if self._pair.picture is None else self._pair.picture.swipe_at
         if at != self._swipe_at:
             self._swipe_at = at

@@ -50,7 +50,6 @@ class Chooser(Feature):
     """Shows the strip while a pair is on the canvas and the panels are there."""
 
     def __init__(self, desk: Desk) -> None:
-        """Add the script to the current container, hidden."""
         self._desk = desk
         self._sent: dict[str, object] = {}
         self._portraits: dict[str, str] = {}  # by fingerprint, as the pages keep them

@@ -11,7 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol, TypeAlias, TypedDict, TypeVar, runtime_checkable
+from typing import Protocol, TypeAlias, TypedDict, TypeVar
 
 import viser
 from typing_extensions import Unpack
@@ -98,7 +98,6 @@ Restore: TypeAlias = Callable[[SavedSession], None]
 """Opens what a saved session had open, with all that it had set."""
 
 
-@runtime_checkable
 class Cameras(Protocol):
     """Moves the cameras of the pages."""
 
@@ -112,23 +111,19 @@ class Cameras(Protocol):
         """Do not move the cameras when what is shown changes next."""
 
 
-@runtime_checkable
 class ModeSwitch(Protocol):
     """Changes what the page is for, and so what the scene shows."""
 
-    def go(self, mode: Mode) -> None:
-        """Set the mode."""
+    def go(self, mode: Mode) -> None: ...
 
     def tune(
         self, query_id: str, database_id: str, *, back_to: Mapping[int, Camera] | None = None
     ) -> None:
         """Show a pair in the mode in which it is tuned; pages come back to views of the map."""
 
-    def turn_to(self, subject: Subject) -> None:
-        """Show the pair or the world."""
+    def turn_to(self, subject: Subject) -> None: ...
 
-    def set_full_screen(self, full_screen: bool) -> None:
-        """Hide or show the panels."""
+    def set_full_screen(self, full_screen: bool) -> None: ...
 
 
 class Drawn(TypedDict, total=False):
@@ -155,19 +150,6 @@ class Desk:
     A change sets the state, and puts the news into a queue. If no other thread delivers, the
     caller delivers all of it, without a lock; others wait until theirs are delivered. So all
     features see all news in one order, and a change has reached all of them when it returns.
-
-    Attributes:
-        host: Whose GUI and scene the session fills.
-        bridge: Hears the HTML of the session.
-        canvases: Properties of the pages' canvases.
-        numbers: Receives what is typed into number boxes.
-        jobs: Does the work of all features.
-        memo: Results of the pipeline, shared by all sessions.
-        capacity: What a job must hold while it computes, shared by all sessions.
-        permissions: What may be read and written.
-        now: The session as it is now; only the desk sets it.
-        features: All that have joined, in the order in which they are notified.
-        newer: Returns the open dataset anew if it has more submaps by now; else None.
     """
 
     def __init__(
@@ -180,18 +162,21 @@ class Desk:
         opened: Opened | None = None,
     ) -> None:
         """Begin at a state, without features; it is that of ``opened``, unless that is None."""
-        self.host = host
-        self.bridge = Bridge(host)
-        self.canvases = Canvases(host, self.bridge)
-        self.numbers = Numbers(host, self.bridge)
-        self.jobs = Jobs()
-        self.memo = memo
-        self.capacity = capacity
-        self.permissions = permissions
+        self.host = host  # whose GUI and scene the session fills
+        self.bridge = Bridge(host)  # hears the HTML of the session
+        self.canvases = Canvases(host, self.bridge)  # properties of the pages' canvases
+        self.numbers = Numbers(host, self.bridge)  # receives what is typed into number boxes
+        self.jobs = Jobs()  # does the work of all features
+        self.memo = memo  # results of the pipeline, shared by all sessions
+        self.capacity = capacity  # what a job must hold while it computes, shared by all sessions
+        self.permissions = permissions  # what may be read and written
+        # returns the open dataset anew if it has more submaps by now; else None
         self.newer: Callable[[], Opened | None] = lambda: None
+        # the session as it is now; only the desk sets it
         self.now = SessionState(state, opened, _decided(opened), keyframes=_keyframes(opened))
         self._pairs = AllPairs()
         self._decided = DetectionResult((), {}), Decisions(), tuple[LoopClosure, ...]()
+        # all that have joined, in the order in which they are notified
         self.features: list[Feature] = []
         self._changed = self.jobs.changed
         self._news: deque[Callable[[Feature], None]] = deque()
@@ -200,7 +185,6 @@ class Desk:
 
     @property
     def state(self) -> ViewState:
-        """The state that pictures show now."""
         return self.now.view
 
     @property
@@ -246,7 +230,6 @@ class Desk:
             self.deliver()
 
     def update_pairs(self, change: Callable[[AllPairs], AllPairs]) -> None:
-        """Change the state of all pairs, and notify all features."""
         with self._changed:
             before, after = self._pairs, change(self._pairs)
             self._pairs = after
@@ -260,7 +243,6 @@ class Desk:
         self.deliver()
 
     def tell_again(self) -> None:
-        """Show all settings anew."""
         self.update(lambda state: state)
 
     def deliver(self) -> None:
@@ -302,7 +284,6 @@ class Desk:
             return self._changed.wait_for(is_idle, timeout)
 
     def close(self) -> None:
-        """Stop working."""
         self.jobs.close()
         for feature in self.features:
             feature.close()
@@ -323,10 +304,8 @@ class Desk:
 
         Of the pair (query, database), None stays as it is; in the parameters, it is automatic. If
         the state is another than ``only_from`` by now, nothing is changed. While a hand is still
-        on what changes them, they are moving, and `release` follows.
-
-        Raises:
-            InputError: If the dataset has no such submap.
+        on what changes them, they are moving, and `release` follows. An InputError says that the
+        dataset has no such submap.
         """
 
         def changed(now: SessionState) -> SessionState | None:
@@ -379,12 +358,10 @@ class Desk:
             self.tell_again()
 
     def leave_reference(self) -> None:
-        """Show the present setting alone again."""
         if self.state.reference is not None:
             self.change(reference=None)
 
     def step(self, role: Role, step: int) -> None:
-        """Select the next (1) or the previous (-1) submap as query or database."""
         state = self.state
         query, database = state.query_id, state.database_id
         if role == "query":
@@ -394,7 +371,6 @@ class Desk:
         self.choose(query, database)
 
     def open(self, opened: Opened) -> None:
-        """Open another dataset."""
         self.update(
             lambda now: replace(
                 now,

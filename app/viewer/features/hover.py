@@ -89,7 +89,6 @@ class Hover(Feature):
         self._throttle.request(page)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Clear what was under the cursor in another scene."""
         if state.subject != before.subject:
             for page in pages(self._desk.host).values():
                 self._clear(page)

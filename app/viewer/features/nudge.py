@@ -87,7 +87,6 @@ class NudgeTab(Feature):
         )
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Another pair is not the one that was being moved."""
         if self._active and not same_pair(before.view, state.view):
             self._drop()
 
@@ -154,7 +153,6 @@ class NudgeTab(Feature):
         return gizmo
 
     def moved_by_hand(self) -> None:
-        """Move the query to the handles."""
         gizmo, shown = self._gizmo, self._shown
         if gizmo is None or shown is None:
             return

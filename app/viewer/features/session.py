@@ -16,7 +16,7 @@ from app.viewer.features.data.tab import DataTab
 from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.desk import Desk
 from app.viewer.features.hover import Hover
-from app.viewer.features.inspect.tab import InspectTab
+from app.viewer.features.inspect import InspectTab
 from app.viewer.features.links import Links, add_script
 from app.viewer.features.modes import Modes
 from app.viewer.features.nudge import NudgeTab
@@ -43,13 +43,11 @@ class Session:
     """Panels, scene and jobs of one session.
 
     Attributes:
-        desk: What the features know of the session.
-        pair: The feature that shows the pair.
+        world: The feature that shows all submaps.
         inspect: The feature that reads places and associations.
         data: The feature that opens datasets.
-        world: The feature that shows all submaps.
         pose_graph: The feature that corrects the map.
-        timeline: The feature that plays the drive.
+        desk: What the features know of the session.
     """
 
     def __init__(  # noqa: PLR0915 - one line a feature
@@ -78,6 +76,7 @@ class Session:
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
 
+        # the feature that shows the pair
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         scene = self.pair.scene
         desk.join(CompareTool(desk, scene))
@@ -111,6 +110,7 @@ class Session:
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         desk.join(Chooser(desk))
         desk.join(Hover(desk, scene, self.world, comparison.light))
+        # the feature that plays the drive
         self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(
             scene,
@@ -130,7 +130,6 @@ class Session:
 
     @property
     def state(self) -> ViewState:
-        """The session as it is now."""
         return self.desk.state
 
     def show_presence(self, together: int, alone: int) -> None:
@@ -156,5 +155,4 @@ class Session:
         return self.desk.wait_idle(timeout)
 
     def close(self) -> None:
-        """Stop working; what was shown stays until its page goes."""
         self.desk.close()

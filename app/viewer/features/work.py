@@ -14,12 +14,25 @@ import numpy as np
 import viser
 from jaxtyping import UInt8
 
+from app.viewer.session.decisions import Decisions
 from app.viewer.session.jobs import Job, Jobs, Lane, Result, Slots
+from app.viewer.session.methods import MethodName
 from app.viewer.widgets.status import WHOLE, WorkBar
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.poses import write_poses
+from gpgrad_core.io.records.closures import report_closures, write_closure_table, write_closures
 from gpgrad_core.run import Progress
 from gpgrad_core.run.folders import TemporaryFolder
+from gpgrad_core.slam import (
+    OptimisedGraph,
+    build_pose_graph,
+    optimise_pose_graph,
+    vertex_numbers,
+    write_graph,
+)
+from gpgrad_core.types import Dataset
 
 CANCELLED = "Cancelled."
 
@@ -53,16 +66,12 @@ class Work(Lane[Job, Result]):
         watch: Callable[[float | None, str], None] = lambda _fraction, _message: None,
         phases: Mapping[str, float] = WHOLE,
     ) -> None:
-        """Begin at rest.
+        """Begin at rest; see `Lane`.
 
-        Args:
-            jobs: Whose threads do the work.
-            bar: Where it says how far it is; its button cancels the work.
-            what: Names what a job does, such as "Fitting"; empty for a job too quick for a bar.
-            work, on_result, slots: See `Lane`. The bar is idle when there is a result.
-            on_cancel: Called with a cancelled job, before the bar shows that.
-            watch: Called with how far a job is; with None and the message once it has ended.
-            phases: The fraction at which each phase ends; see `WorkBar.running`.
+        ``what`` names what a job does, such as "Fitting"; empty for one too quick for a bar. The
+        bar is idle when there is a result, and its button cancels the work: ``on_cancel`` comes
+        before the bar shows that. ``watch`` is called with how far a job is, and with None and the
+        message once it has ended. Phases are those of `WorkBar.running`.
         """
 
         def tell(job: Job, fraction: float) -> None:
@@ -103,7 +112,6 @@ class Work(Lane[Job, Result]):
         bar.on_cancel(self.cancel)
 
     def start(self, job: Job) -> None:
-        """Ask for a job; returns at once. It supersedes what runs."""
         self._tell(job, 0.0)
         self.submit(job)
 
@@ -133,11 +141,7 @@ GROUND_AND_INK = {False: ("#ffffff", "#14181d"), True: ("#0c0f13", "#e6eaef")}
 def view_of_page(
     page: viser.ClientHandle, width: int, height: int
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
-    """Ask a page to draw its view of the scene anew, so many pixels wide and high.
-
-    Raises:
-        InputError: If it does not answer.
-    """
+    """Ask a page to draw its view of the scene anew, so many pixels wide and high."""
     try:
         return page.get_render(
             height=height,
@@ -164,7 +168,6 @@ class Downloads(Work[FileOrder, bytes]):
     """Makes one file at a time, and sends it to the page that wants it."""
 
     def __init__(self, jobs: Jobs, bar: WorkBar, slots: Slots) -> None:
-        """Begin at rest; a slot is held while a file is written."""
 
         def send(order: FileOrder, content: bytes, seconds: float) -> None:
             send_file(order.page, order.name, content)
@@ -173,7 +176,6 @@ class Downloads(Work[FileOrder, bytes]):
         super().__init__(jobs, bar, lambda order: f"Making {order.name}", _make, send, slots=slots)
 
     def order(self, page: viser.ClientHandle, name: str, write: Write) -> None:
-        """Make a file and send it to a page; returns at once."""
         self.start(FileOrder(page, name, write))
 
 
@@ -182,3 +184,37 @@ def _make(order: FileOrder, progress: Progress) -> bytes:
         path = Path(folder) / order.name
         order.write(path, progress)
         return path.read_bytes()
+
+
+def write_closure_file(
+    path: Path,
+    dataset: Dataset,
+    result: DetectionResult,
+    params: PipelineParams,
+    method: MethodName,
+    *,
+    decisions: Decisions | None = None,
+    solved: OptimisedGraph | None = None,
+) -> None:
+    """Write loop closures in the format that the ending of the file names.
+
+    ``.json`` and ``.csv`` hold all verdicts, ``.g2o`` the pose graph, and ``.txt`` the corrected
+    poses in TUM's format, which are optimised unless that is done. Those that a person accepted are
+    never left out.
+    """
+    decided = decisions or Decisions()
+    trusted, by_hand = decided.trusted, decided.of_closures()
+    match path.suffix:
+        case ".g2o":
+            graph = build_pose_graph(dataset, result.closures, trusted=trusted)
+            write_graph(path, graph, None if solved is None else solved.poses)
+        case ".txt":
+            graph = build_pose_graph(dataset, result.closures, trusted=trusted)
+            poses = (solved or optimise_pose_graph(graph)).poses
+            numbers = vertex_numbers(graph)
+            write_poses(path, {numbers[name]: pose for name, pose in poses.items()})
+        case ".csv":
+            write_closure_table(path, report_closures(dataset, result, params, method=method))
+        case _:
+            report = report_closures(dataset, result, params, method=method, decisions=by_hand)
+            write_closures(path, report)

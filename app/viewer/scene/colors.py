@@ -107,12 +107,10 @@ def colorize(
 def hillshade(
     slope: Float[NDArray[np.floating], "n 2"], yaw: float = 0.0
 ) -> Float[NDArray[np.floating], "n"]:
-    """The brightness of ground of a slope, level ground being 1.
+    """The brightness of ground of a slope (dz/dx, dz/dy) [m/m], level ground being 1.
 
-    Args:
-        slope: (dz/dx, dz/dy) [m/m] in the submap's frame.
-        yaw: Of the submap's frame in the scene [rad]: the light stays with the scene, so that
-            two submaps on top of each other are lit alike.
+    The yaw is that of the submap's frame in the scene [rad]: the light stays with the scene, so
+    that two submaps on top of each other are lit alike.
     """
     c, s = float(np.cos(yaw)), float(np.sin(yaw))
     along_x, along_y = slope[..., 0], slope[..., 1]

@@ -81,7 +81,6 @@ class Scale:
 
     @property
     def bars(self) -> UInt8[NDArray[np.uint8], "bars 256 3"]:
-        """Colours from low to high; one row for each tint, or the only one."""
         table = lookup_table(self.color_map)
         return np.stack([tinted(table, tint) for tint in self.tints] or [table])
 

@@ -31,7 +31,6 @@ class Node:
 
     @property
     def count(self) -> int:
-        """How many points, lines or letters it has."""
         return len(next(iter(self.made.values())))
 
     def put(self, **made: Any) -> None:
@@ -219,7 +218,6 @@ class SubmapNode:
         self._put_label()
 
     def name(self, submap: Submap, extent: Box, role: str) -> None:
-        """Write its role, name and size beside it."""
         width, depth, _ = extent.size
         self.label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         self._extent, self._centre = extent, submap.centre

@@ -286,20 +286,14 @@ def place(
     tall: bool = False,
     exaggeration: float = 1.0,
 ) -> tuple[Placement, Placement]:
-    """Place (query, database) in the scene.
+    """Place (query, database) in the scene, by the boxes of both.
 
     With a motion both stand in the database's frame, so that the same place looks the same: side by
-    side, the query is turned and levelled, too. Without one, each has its own frame.
+    side, the query is turned and levelled, too. Without one, each has its own frame, and the two
+    stand side by side. On a tall canvas that is the query behind the database.
 
-    Args:
-        query: Box of the query submap.
-        database: Box of the database submap.
-        layout: Registered needs a motion; without one the submaps stand side by side.
-        T_database_query: The registration.
-        dz: How much higher the middle of the query's box stands in the database's frame [m].
-        tilt: Of the query in the database's frame, side by side [m/m].
-        tall: For a tall canvas the query stands behind the database instead of to its left.
-        exaggeration: How many times higher the scene is than the ground.
+    ``dz`` is how much higher the middle of the query's box stands in the database's frame [m], and
+    the tilt is that of the query there, side by side [m/m].
     """
     times = exaggeration
     if layout == "registered" and T_database_query is not None:
@@ -384,17 +378,11 @@ def frame_camera(
 
     A corner c has its picture at (c - p)·r / (c - p)·f, for a camera at p that looks along f with r
     to its right. That it lies within the free part bounds p·r from both sides by numbers that are
-    linear in p·f, and the same holds for what is up. So the nearest p follows in closed form.
+    linear in p·f, and the same holds for what is up. So the nearest p follows in closed form. The
+    camera looks at a point as far away as the middle of all boxes.
 
-    Args:
-        boxes: Each submap's box and its place in the scene.
-        canvas: The page's.
-        forward: Direction of sight, not straight down; None looks along +y, and down as steeply as
-            fills the canvas best.
-        parallel: Whether it looks from afar through a narrow field of view.
-
-    Returns:
-        The camera; it looks at a point on its axis, as far away as the middle of all boxes.
+    The direction of sight is not straight down; None looks along +y, and down as steeply as fills
+    the canvas best. A parallel camera looks from afar through a narrow field of view.
     """
     corners = np.concatenate([placement.apply(extent.all_corners) for extent, placement in boxes])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -431,8 +419,7 @@ def axes_of_view(
 ) -> tuple[Float[Array, "3"], Float[Array, "3"], Float[Array, "3"]]:
     """The unit vectors (forward, right, up) of a camera that is held upright.
 
-    Args:
-        forward: Direction of sight, of any length but zero. Straight down, +y is up.
+    The direction of sight has any length but zero. Straight down, +y is up.
     """
     f = forward / np.linalg.norm(forward)
     level = np.cross(f, [0.0, 0.0, 1.0])

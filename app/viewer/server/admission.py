@@ -32,20 +32,16 @@ server, although the browser believes it to be ours."""
 
 @dataclass(frozen=True)
 class Admission:
-    """Who may come in: what the person who starts the viewer says, and what `at` adds to it.
+    """Who may come in: what the person who starts the viewer says, and what `at` adds to it."""
 
-    Attributes:
-        origins: Pages of these origins may talk to the viewer too, and their hosts may lead to it;
-            as `as_origin` gives them.
-        token: What everybody must have; `at` makes one where the viewer can be reached from other
-            machines. None asks nobody.
-        without_token: Ask nobody for a token.
-        names: What the viewer's own host may be called, besides the address that was reached.
-    """
-
+    # pages of these origins may talk to the viewer too, and their hosts may lead to it; as
+    # `as_origin` gives them
     origins: tuple[str, ...] = ()
+    # what everybody must have; `at` makes one where the viewer can be reached from other machines.
+    # None asks nobody
     token: str | None = field(default=None, repr=False)
-    without_token: bool = False
+    without_token: bool = False  # ask nobody for a token
+    # what the viewer's own host may be called, besides the address that was reached
     names: frozenset[str] = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
     def at(self, host: str) -> "Admission":
@@ -62,14 +58,10 @@ class Admission:
     def refusal(
         self, given: HeaderValues, path: str, address: tuple[str, int], *, socket_wanted: bool
     ) -> tuple[HTTPStatus, str] | None:
-        """Why a request is refused; None lets it in.
+        """Why a request for a path, with its question mark, is refused; None lets it in.
 
-        Args:
-            given: Returns the headers of the request.
-            path: The requested one, with what follows the question mark.
-            address: Of ours that was reached: IP address and port.
-            socket_wanted: Whether it is to become a websocket. Browsers state the origin of all of
-                these, so one without is refused; the address of a page is often typed.
+        The address is the one of ours that was reached. Browsers state the origin of all
+        websockets, so one without is refused; the address of a page is often typed.
         """
         host = self._host(given, address)
         if host is None:
@@ -124,11 +116,9 @@ class Admission:
 
     @property
     def _hosts(self) -> frozenset[str]:
-        """The hosts of the other origins."""
         return frozenset(origin.partition("://")[2] for origin in self.origins)
 
     def _host(self, given: HeaderValues, address: tuple[str, int]) -> str | None:
-        """The requested host, if it is one of ours."""
         asked = given("Host")
         if len(asked) != 1:
             return None
@@ -164,13 +154,10 @@ def cookie_name(port: int) -> str:
 
 
 def as_origin(text: str) -> str:
-    """Write an origin as browsers do.
+    """Write an origin as browsers do; ``*`` and ``null`` stand for anybody, and are refused.
 
     >>> as_origin("HTTPS://Viewer.Lab.org:443/")
     'https://viewer.lab.org'
-
-    Raises:
-        InputError: If it is none: ``*`` and ``null`` stand for anybody.
     """
     parts = ORIGIN.fullmatch(text.lower().removesuffix("/"))
     if parts is None or (parts[3] is not None and not 0 < int(parts[3]) < 65536):
@@ -183,11 +170,7 @@ def as_origin(text: str) -> str:
 
 
 def check_token(text: str) -> str:
-    """Check what a person wants for a token; gives it.
-
-    Raises:
-        InputError: If it is too easy to guess, or no link can hold it.
-    """
+    """Refuse a token that is too easy to guess, or that no link can hold; returns it."""
     if not TOKEN.fullmatch(text):
         raise InputError("--token must have 8 to 200 letters, digits and . _ ~ -")
     return text

@@ -47,8 +47,7 @@ from app.viewer.server.internals import (
     spare_from_broadcasts,
     state_of,
 )
-from app.viewer.server.limits import Limits
-from app.viewer.server.turns import CoalescingQueue, RoundRobin
+from app.viewer.server.limits import CoalescingQueue, Limits, RoundRobin
 from app.viewer.server.uploads import Unfinished, Uploads
 from app.viewer.web import fill_page_file
 
@@ -63,33 +62,25 @@ FRAME_BYTES = 200
 
 
 class AccessControl:
-    """Lets pages in, and decides on each message.
-
-    Attributes:
-        admission: Decides who comes in.
-        unfinished: Counts what pages have begun to send.
-        uploads: Receives the files among that.
-        turns: Lets pages act one after the other.
-        refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
-        on_refused: Called with the page and a sentence for its user, of a value.
-        title: What stands in the middle of a page until there is a session to show.
-        is_open: Whether viser serves through it.
-    """
+    """Lets pages in, and decides on each message."""
 
     def __init__(self, admission: Admission, limits: Limits) -> None:
-        self.admission = admission
+        self.admission = admission  # decides who comes in
         self.limits = limits
-        self.is_open = False
-        self.title = ""
+        self.is_open = False  # whether viser serves through it
+        self.title = ""  # what stands in the middle of a page until there is a session to show
+        # called with the page and a sentence for its user, of a value
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
+        # counts what pages have begun to send
         self.unfinished = Unfinished(limits.unfinished_bytes)
+        # receives the files among that
         self.uploads = Uploads(limits, self.unfinished, self._client)
-        self.turns = RoundRobin()
+        self.turns = RoundRobin()  # lets pages act one after the other
+        # by page and widget: what is refused soon, unless the person goes on typing
         self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
         self._server: Any = None
 
     def guard(self, server: viser.ViserServer) -> None:
-        """Set the server whose pages it controls."""
         spare_from_broadcasts(server, lambda page: has_private_session(server, page))
         self._server = server
 
@@ -149,7 +140,6 @@ class AccessControl:
         return response
 
     def page_of(self, connection: ServerConnection) -> int:
-        """Viser's number of the page that a connection belongs to."""
         live = connections_of(self._server)
         return next(number for number, peer in live.items() if peer is connection)
 
@@ -191,7 +181,6 @@ class AccessControl:
                 return True
 
     def leave(self, page: int) -> None:
-        """Forget a page that has left."""
         self.uploads.leave(page)
         for key in [key for key in self.refusals_due if key[0] == page]:
             self.refusals_due.pop(key).cancel()
@@ -279,7 +268,6 @@ class Connection(ServerConnection):
             oldest.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Let go of what the page had under way."""
         super().connection_lost(exc)
         self._access.unfinished.hold(self, 0)
         if self._page is not None:
@@ -291,7 +279,6 @@ class Connection(ServerConnection):
         self._hold()
 
     def process_event(self, event: Any) -> None:
-        """Count the pieces of messages."""
         if isinstance(event, Frame) and event.opcode in DATA_OPCODES:
             self._assembled += len(event.data) + FRAME_BYTES
         super().process_event(event)
@@ -343,9 +330,7 @@ def open_server(
 ) -> tuple[viser.ViserServer, AccessControl]:
     """Start viser's server with access control, on a port or the next free one; 0 takes any.
 
-    Raises:
-        RuntimeError: If this release of viser serves in another way than is controlled. Nothing
-            is served then.
+    If this release of viser serves in another way than is controlled, nothing is served.
     """
     access = AccessControl((admission or Admission()).at(host), limits or Limits())
     # viser prints a box with its addresses; the command line says ours.

@@ -103,13 +103,10 @@ def is_small_enough(picture: bytes) -> bool:
 
 
 def checked_value(widget: Any, updates: Mapping[str, object]) -> Any:
-    """The value that a page may set a widget to; viser's kinds have no common class.
+    """The value that a page may set a widget to; else it is a RefusedValue.
 
     The end of a slider is what a page means by a value that lies a hair beyond. It is what the core
     checks: the slider's ends come from the bounds of its parameter.
-
-    Raises:
-        RefusedValue: If the widget cannot be changed so.
     """
     if list(updates) != ["value"]:
         raise RefusedValue("only its value can be changed")

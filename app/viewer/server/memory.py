@@ -56,13 +56,10 @@ _UNITS = {"M": 1e6, "G": 1e9, "T": 1e12}
 
 
 def read_size(text: str) -> int:
-    """Read a budget.
+    """Read a budget, which must be enough to work with.
 
     >>> read_size("800MB"), read_size("1.5 GB")
     (800000000, 1500000000)
-
-    Raises:
-        InputError: If it is no size, or too little to work with.
     """
     parts = _SIZE.fullmatch(text.strip())
     if parts is None:
@@ -102,9 +99,6 @@ class MemoryKeeper:
     First goes what is free already, in this process and then in both. Then the helper, if it alone
     holds too much, is replaced by a fresh one. Then the memo drops results, the least recently used
     first.
-
-    Attributes:
-        budget: Bytes for both processes together.
     """
 
     def __init__(
@@ -124,7 +118,7 @@ class MemoryKeeper:
         ``of_pages`` returns the bytes of what pages have begun to send and not ended, ``held_by``
         those of a process.
         """
-        self.budget = budget
+        self.budget = budget  # bytes for both processes together
         self._of_pages, self._held_by, self._clock = of_pages, held_by, clock
         self._memo, self._helper, self._on_full = memo, helper, on_full
         self._closed = threading.Event()
@@ -132,12 +126,10 @@ class MemoryKeeper:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop measuring."""
         self._closed.set()
         self._thread.join()
 
     def measure(self) -> int:
-        """Measure what both processes hold [bytes]."""
         return self._held_by(os.getpid()) + self._of_helper()
 
     def relieve(self) -> int:

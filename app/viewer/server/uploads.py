@@ -28,17 +28,12 @@ class Unfinished:
 
     Each counts what it holds before it holds it. What does not fit is made room for: what was begun
     first ends first. So nobody can fill the memory with beginnings, however many pages they have.
-
-    Attributes:
-        most_bytes: The budget.
-        num_bytes: What all hold together.
-        on_full: Called once, with a sentence, when something must end.
     """
 
     def __init__(self, most_bytes: int, on_full: Callable[[str], None] | None = None) -> None:
         self.most_bytes = most_bytes
-        self.num_bytes = 0
-        self.on_full = on_full
+        self.num_bytes = 0  # what all hold together
+        self.on_full = on_full  # called once, with a sentence, when something must end
         self._held: dict[Hashable, tuple[int, Callable[[], None] | None]] = {}  # the oldest first
 
     def hold(self, owner: Hashable, num_bytes: int, end: Callable[[], None] | None = None) -> None:
@@ -82,12 +77,7 @@ class _Upload:
 
 
 class Uploads:
-    """Receives the files of pages, part by part, in the event loop.
-
-    Attributes:
-        under_way: By viser's name of the transfer.
-        on_refused: Called with the page and a sentence for its user.
-    """
+    """Receives the files of pages, part by part, in the event loop."""
 
     def __init__(
         self,
@@ -97,7 +87,8 @@ class Uploads:
     ) -> None:
         self._most = min(limits.upload_bytes, unfinished.most_bytes)
         self._limits, self._unfinished, self._page_of = limits, unfinished, page_of
-        self.under_way: dict[str, _Upload] = {}
+        self.under_way: dict[str, _Upload] = {}  # by viser's name of the transfer
+        # called with the page and a sentence for its user
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
 
     def start(
@@ -153,12 +144,10 @@ class Uploads:
         self._go_on(message, upload)
 
     def leave(self, page: int) -> None:
-        """Forget the uploads of a page that has left."""
         for transfer in [name for name, each in self.under_way.items() if each.page == page]:
             self.drop(transfer)
 
     def drop(self, transfer: str) -> None:
-        """Forget an upload."""
         upload = self.under_way.pop(transfer)
         if upload.late is not None:
             upload.late.cancel()

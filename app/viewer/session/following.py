@@ -1,7 +1,10 @@
-"""A drive to look at while it goes on: submaps come from outside, and are compared beside it."""
+"""A drive to look at while it goes on: its submaps come from outside, or a rover is simulated."""
 
 import contextlib
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +28,8 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.simulation.demo import loop_params
+from gpgrad_core.simulation.simulate import describe_simulated, drive_over, make_world
 from gpgrad_core.slam import Drive, Moment, RunSettings
 from gpgrad_core.types import Dataset, Submap
 
@@ -173,3 +178,40 @@ def corrected(moment: Moment) -> Corrected:
     """Write a moment as a robot hears it: a submap and the one before it close no loop."""
     poses = {name: pose.row for name, pose in moment.poses.items()}
     return Corrected(moment.submap_id, poses, [closure.pair for closure in moment.loops])
+
+
+def begin_drive(
+    seed: int,
+    memo: Memo,
+    stage: Callable[[str], Progress],
+    show: Callable[[Submap], None] = lambda _: None,
+) -> Opened:
+    """Begin a drive, whose submaps come from a thread of its own; shows the first."""
+    told = stage("Making the ground")
+    told(0.0)
+    world = make_world(loop_params(seed))
+    told = stage("Looking at the first of it")
+    told(0.0)
+    submaps = drive_over(world)
+    first = next(submaps)
+    show(first)
+    params = PipelineParams()
+    used = resolve_parameters([first], params, memo, told)
+    executor = ThreadPoolExecutor(num_workers(), thread_name_prefix="drive")
+    drive = Drive(
+        used, detector=MapDetector(used, memo), executor=executor, name="a simulated drive"
+    )
+    drive.add(first)
+    thread = threading.Thread(
+        target=_drive_on, args=(drive, submaps, executor), name="simulated drive", daemon=True
+    )
+    thread.start()
+    dataset = replace(describe_simulated(world.params), name=drive.settings.name, submaps=(first,))
+    return Opened(dataset, params, "", None, used, drive)
+
+
+def _drive_on(drive: Drive, submaps: Iterator[Submap], executor: ThreadPoolExecutor) -> None:
+    with executor:
+        for submap in submaps:
+            drive.add(submap)
+    drive.finish()

@@ -46,19 +46,13 @@ Grace alone shows nothing during a long drag over work that takes longer than it
 
 
 class Jobs:
-    """A pool of threads; each starts when it is needed and ends when nothing is left to do.
-
-    Attributes:
-        changed: Guards the pool and all its lanes; notified of what happens to them.
-        lanes: All that have work done here.
-        closing: Whether nothing may begin any more, and what runs is to end.
-    """
+    """A pool of threads; each starts when it is needed and ends when nothing is left to do."""
 
     def __init__(self) -> None:
-        """Begin without a thread."""
+        # guards the pool and all its lanes; notified of what happens to them
         self.changed = threading.Condition()
-        self.lanes: list[Lane[Any, Any]] = []
-        self.closing = False
+        self.lanes: list[Lane[Any, Any]] = []  # all that have work done here
+        self.closing = False  # whether nothing may begin any more, and what runs is to end
         self._due: list[tuple[float, int, Turn]] = []  # a heap: when each may begin
         self._numbers = count()
         self._threads: set[threading.Thread] = set()
@@ -125,7 +119,6 @@ class Slots:
     """So many jobs may run at once, of all sessions; whoever has waited longest is next."""
 
     def __init__(self, num_free: float) -> None:
-        """Begin with all of them free."""
         self._num_free = num_free
         self._waiting: deque[Turn] = deque()
         self._lock = threading.Lock()
@@ -140,12 +133,10 @@ class Slots:
             return False
 
     def forget(self, on_free: Turn) -> None:
-        """Cancel ``on_free``."""
         with self._lock:
             self._waiting = deque(one for one in self._waiting if one is not on_free)
 
     def release(self) -> None:
-        """Release a slot."""
         with self._lock:
             on_free = self._waiting.popleft() if self._waiting else None
             self._num_free += on_free is None
@@ -187,7 +178,6 @@ class Lane(Generic[Job, Result]):
     background: bool = False  # nobody waits for it, and it gives way to all other lanes
 
     def __post_init__(self) -> None:
-        """Begin at rest."""
         self._changed = self.jobs.changed
         self._slots = self.slots or Slots(math.inf)
         self._waiting: list[Job] = []  # none or one

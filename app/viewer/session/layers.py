@@ -63,37 +63,23 @@ OWN_LEVEL = HeightFrame()
 
 @dataclass(frozen=True)
 class LayerStyle:
-    """A layer: its words, its default colours, and the field that it shows in its unit.
+    """A layer: its words, its default colours, and the field that it shows in its unit."""
 
-    Attributes:
-        name: In flags, files and links.
-        words: What people call it.
-        label: Of its legend.
-        unit: Of its values.
-        color_map: By default.
-        values: Gives the field of one map, in the frame of a level; a layer that compares two has
-            none.
-        compare: Gives that of two registered maps, NaN where not both are trusted: of query and
-            database, ``T_database_query``, what is added to the query's heights [m], and the mask.
-        help: A sentence on what its name does not say.
-        symmetric: Whether the ends of its colours are at equal distance from zero.
-        from_zero: Whether they begin at zero.
-        ends: Values at the ends, where these are fixed.
-        is_shaded: Whether it is drawn on lit ground.
-    """
-
-    name: str
-    words: str
-    label: str
-    unit: str
-    color_map: ColorMap
+    name: str  # in flags, files and links
+    words: str  # what people call it
+    label: str  # of its legend
+    unit: str  # of its values
+    color_map: ColorMap  # by default
+    # gives the field of one map, in the frame of a level; a layer that compares two has none
     values: Callable[[GradientMap, HeightFrame], Float[Array, "rows columns"]] | None = None
+    # gives that of two registered maps, NaN where not both are trusted: of query and database,
+    # ``T_database_query``, what is added to the query's heights [m], and the mask
     compare: Callable[[tuple[GradientMap, GradientMap], SE2, float, float], Both] | None = None
-    help: str = ""
-    symmetric: bool = False
-    from_zero: bool = False
-    ends: tuple[float, float] | None = None
-    is_shaded: bool = False
+    help: str = ""  # a sentence on what its name does not say
+    symmetric: bool = False  # whether the ends of its colours are at equal distance from zero
+    from_zero: bool = False  # whether they begin at zero
+    ends: tuple[float, float] | None = None  # values at the ends, where these are fixed
+    is_shaded: bool = False  # whether it is drawn on lit ground
 
     def of_map(
         self, gradient_map: GradientMap, level: HeightFrame = OWN_LEVEL

@@ -51,7 +51,6 @@ class ViewedMethod:
     def of_submap(
         self, submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
     ) -> PipelineParams:
-        """The parameters with which it computes the map of one submap."""
         if not self.fits_each:
             return params
         return with_terrain(params, tune(submap, params.map, memo, progress))

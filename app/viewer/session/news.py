@@ -37,7 +37,6 @@ class SessionState:
 
     @property
     def decisions(self) -> Decisions:
-        """All decisions as they are now."""
         return self.decided[-1]
 
     def opened_since(self, before: "SessionState") -> Opened | None:

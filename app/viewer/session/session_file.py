@@ -142,7 +142,6 @@ class SavedSession:
         subject: Subject = "pair",
         keyframes: tuple[Keyframe, ...] = (),
     ) -> "SavedSession":
-        """What a session holds now."""
         source = Path(state.source)
         return cls(
             None if source == demo_path() else source.absolute(),
@@ -183,7 +182,6 @@ class SavedSession:
                     dataset.submap(name)
 
     def apply(self, state: ViewState) -> ViewState:
-        """Apply everything that was saved to a dataset that was just opened."""
         state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
         state = with_params(with_method(state, self.method), self.params)
         return replace(state, options=self.options, reference=self.reference)

@@ -47,13 +47,11 @@ class Camera:
     def at(
         cls, position: Float[Array, "3"], look_at: Float[Array, "3"], *, parallel: bool = False
     ) -> "Camera":
-        """Look from one place of the scene at another [m]."""
         (x, y, z), (u, v, w) = position.tolist(), look_at.tolist()
         return cls((x, y, z), (u, v, w), parallel)
 
     @property
     def field_of_view(self) -> float:
-        """From the lower to the upper edge [rad]."""
         return float(PARALLEL if self.parallel else FIELD_OF_VIEW)
 
     @property
@@ -71,38 +69,30 @@ class Camera:
 
     @property
     def sight(self) -> Float[Array, "3"]:
-        """From the eye to the point that is looked at [m]."""
         return np.subtract(self.look_at, self.position)
 
     @property
     def distance(self) -> float:
-        """Of the point that is looked at [m]."""
         return float(np.linalg.norm(self.sight))
 
 
 @dataclass(frozen=True)
 class Widget:
-    """How a field of options or parameters is offered, where its name and type do not say that.
+    """How a field of options or parameters is offered, where its name and type do not say that."""
 
-    Attributes:
-        label: Of the widget; empty takes the field's name.
-        names: What people call its choices; a choice without another name keeps its own.
-        needs: By the names of other fields, the values that it has a meaning with.
-        folded: Whether it lies in the folded folder of what is rarely needed.
-        eye: Whether a truth value is an eye, open where something is shown and else closed.
-        under: Truth values that it belongs to: it unfolds below while one of them is true.
-        offered: Whether it has a widget in the panel of its dataclass.
-        automatic: Of the box that stands above a number that may be automatic; without it, such a
-            number has its box in the folded folder.
-    """
-
-    label: str = ""
+    label: str = ""  # of the widget; empty takes the field's name
+    # what people call its choices; a choice without another name keeps its own
     names: Mapping[str, str] = field(default_factory=dict[str, str])
+    # by the names of other fields, the values that it has a meaning with
     needs: Mapping[str, tuple[object, ...]] = field(default_factory=dict[str, tuple[object, ...]])
-    folded: bool = False
+    folded: bool = False  # whether it lies in the folded folder of what is rarely needed
+    # whether a truth value is an eye, open where something is shown and else closed
     eye: bool = False
+    # truth values that it belongs to: it unfolds below while one of them is true
     under: tuple[str, ...] = ()
-    offered: bool = True
+    offered: bool = True  # whether it has a widget in the panel of its dataclass
+    # of the box that stands above a number that may be automatic; without it, such a number has its
+    # box in the folded folder
     automatic: str = ""
 
 
@@ -265,7 +255,6 @@ class ViewOptions:
     dark: Annotated[bool, Doc("Of no effect: each page chooses."), Widget(offered=False)] = False
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     @property
@@ -308,49 +297,37 @@ class Tuning:
 
 @dataclass(frozen=True, eq=False)
 class ViewState:
-    """All that determines a picture; the functions below make a changed copy.
-
-    Attributes:
-        dataset: The open dataset.
-        query_id: Submap that is registered.
-        database_id: Submap that it is registered to. It is another one, unless the dataset has no
-            other: then there is no pair, and the one submap is shown alone.
-        params: Of the pipeline, with numbers for what is automatic.
-        asked: The same as they were requested: what is automatic is None.
-        resolved: Whether the numbers of ``params`` are those of ``asked`` on the dataset; else
-            a fit is due, and they stand in for its result.
-        method: Name of the method that runs with them.
-        others: Those of the other methods, which have their own.
-        options: Of the view.
-        source: Path that the dataset was read from; empty if there is none.
-        match: Number of the association that is pointed at, from 1; 0 for none.
-        probe: The place whose values are read.
-        reference: A, the setting that the present one, B, is shown beside; None shows B alone.
-    """
+    """All that determines a picture; the functions below make a changed copy."""
 
     dataset: Dataset
-    query_id: str
+    query_id: str  # submap that is registered
+    # submap that it is registered to. It is another one, unless the dataset has no other: then
+    # there is no pair, and the one submap is shown alone
     database_id: str
+    # of the pipeline, with numbers for what is automatic
     params: PipelineParams = field(
         default_factory=lambda: with_numbers_of(PipelineParams(), PipelineParams())
     )
+    # the same as they were requested: what is automatic is None
     asked: PipelineParams = field(default_factory=PipelineParams)
+    # whether the numbers of ``params`` are those of ``asked`` on the dataset; else a fit is due,
+    # and they stand in for its result
     resolved: bool = False
-    method: MethodName = "gradient"
+    method: MethodName = "gradient"  # name of the method that runs with them
+    # those of the other methods, which have their own
     others: Mapping[MethodName, Tuning] = field(default_factory=dict[MethodName, Tuning])
-    options: ViewOptions = field(default_factory=ViewOptions)
-    source: str = ""
-    match: int = 0
-    probe: Probe | None = None
+    options: ViewOptions = field(default_factory=ViewOptions)  # of the view
+    source: str = ""  # path that the dataset was read from; empty if there is none
+    match: int = 0  # number of the association that is pointed at, from 1; 0 for none
+    probe: Probe | None = None  # the place whose values are read
+    # A, the setting that the present one, B, is shown beside; None shows B alone
     reference: Setting | None = None
 
     def __post_init__(self) -> None:
-        """Check that a pair consists of two submaps."""
         check_pair(self.dataset, self.query_id, self.database_id)
 
     @property
     def setting(self) -> Setting:
-        """What a person has set."""
         return Setting(self.method, self.asked)
 
     @property
@@ -360,17 +337,14 @@ class ViewState:
 
     @property
     def is_pair(self) -> bool:
-        """Whether there is a pair, and not one submap alone."""
         return self.query_id != self.database_id
 
     @property
     def query(self) -> Submap:
-        """The query submap."""
         return self.dataset.submap(self.query_id)
 
     @property
     def database(self) -> Submap:
-        """The database submap."""
         return self.dataset.submap(self.database_id)
 
     @property
@@ -380,11 +354,7 @@ class ViewState:
 
     @property
     def pair(self) -> tuple[Submap, Submap]:
-        """The query and the database submap.
-
-        Raises:
-            InputError: If there is one submap alone.
-        """
+        """The query and the database submap; an InputError if there is one submap alone."""
         if not self.is_pair:
             raise InputError(NEEDS_TWO)
         return self.query, self.database
@@ -399,11 +369,7 @@ class ViewState:
 
 
 def check_pair(dataset: Dataset, query_id: str | None, database_id: str | None) -> None:
-    """Check that a pair consists of two submaps; the one submap of a dataset may stand alone.
-
-    Raises:
-        InputError: If it names one twice.
-    """
+    """Refuse a pair of one submap twice; the one submap of a dataset may stand alone."""
     if query_id is not None and query_id == database_id and len(dataset.submaps) > 1:
         raise InputError(f"{query_id} beside itself is no pair; name two different submaps")
 
@@ -438,10 +404,8 @@ def with_pair(
 ) -> ViewState:
     """Choose the query, the database submap, or both; nothing is pointed at then.
 
-    If the one that is named had the other role, the two change places.
-
-    Raises:
-        InputError: If the dataset has no such submap, or both names are the same.
+    If the one that is named had the other role, the two change places. An InputError refuses one
+    that the dataset does not have, and a pair of one submap.
     """
     if query_id is None:
         query_id = state.database_id if database_id == state.query_id else state.query_id

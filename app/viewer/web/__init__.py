@@ -22,14 +22,10 @@ def viser_parts() -> dict[str, str]:
 
 
 def fill_page_file(name: str, **values: object) -> str:
-    """Read a file of this folder and replace the names in it that stand for values.
+    """Read a file of this folder and replace the names in it that stand for values, in upper case.
 
-    The names of viser's parts work in every file.
-
-    Args:
-        name: Of the file, such as ``bridge.js`` or ``look.css``.
-        values: By name, in upper case. A script gets anything that JSON can hold, as JSON; a style
-            or a piece of HTML gets the text as it is, which must be safe there.
+    The names of viser's parts work in every file. A script gets anything that JSON can hold, as
+    JSON; a style or a piece of HTML gets the text as it is, which must be safe there.
     """
     fillings = {**viser_parts(), **values}
 

@@ -60,14 +60,10 @@ class PairMsg(msgspec.Struct):
 
 
 class Bridge:
-    """Takes what the viewer's own HTML says, and hands it on by name.
-
-    Attributes:
-        folder: Unseen container of what pages have and people do not see.
-    """
+    """Takes what the viewer's own HTML says, and hands it on by name."""
 
     def __init__(self, host: Host) -> None:
-        """Add the text box and the script to the current container, hidden."""
+        # unseen container of what pages have and people do not see
         self.folder = host.gui.add_folder("Bridge")
         with self.folder:
             self._box = host.gui.add_text("bridge", "")
@@ -129,7 +125,6 @@ class Bridge:
             self._acts[said.name](page, said.data)
 
     def _hidden_script(self) -> str:
-        """Write the script and the style that hides the folder."""
         box = state_of(self._box).uuid
         script = inline_script(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
         style = fill_page_file("bridge.css", BOX=box)
@@ -155,26 +150,15 @@ def read_said(text: str) -> Said | None:
 
 
 def inline_script(script: str) -> str:
-    """Write HTML that runs a script each time it is put into a page.
-
-    Args:
-        script: JavaScript; values in it must come from `json.dumps`.
-    """
+    """Write HTML that runs JavaScript when it is put into a page; values come from `json.dumps`."""
     # A picture that cannot be loaded runs its handler.
     return f'<img alt="" src="data:," style="display:none" onerror="{escape(script)}">'
 
 
 def send(name: str, /, **data: Value) -> str:
-    """Write an inline handler that says something, for an attribute such as ``onclick``.
+    """Write an inline handler that says something to `Bridge.hear`, escaped for an attribute.
 
     >>> send("open", query="003")
     'gpgrad.say(&quot;open&quot;,{&quot;query&quot;:&quot;003&quot;})'
-
-    Args:
-        name: What `Bridge.hear` listens for.
-        data: Values that go with it.
-
-    Returns:
-        JavaScript, escaped for an attribute in double quotes.
     """
     return escape(f"gpgrad.say({json.dumps(name)},{json.dumps(data, separators=(',', ':'))})")

@@ -32,12 +32,7 @@ by hand."""
 
 
 class CanvasMsg(Struct):
-    """What a page says of its canvas, and of what covers it at each side.
-
-    Attributes:
-        below: Height that the legend takes above what covers the bottom.
-        dark: Whether the page is dark.
-    """
+    """What a page says of its canvas, and of what covers it at each side."""
 
     width: Pixels
     height: Pixels
@@ -45,20 +40,12 @@ class CanvasMsg(Struct):
     top: Pixels
     right: Pixels
     bottom: Pixels
-    below: Pixels = 0.0
-    dark: bool = True
+    below: Pixels = 0.0  # height that the legend takes above what covers the bottom
+    dark: bool = True  # whether the page is dark
 
 
 class Canvases:
-    """The state of the pages' canvases, and where their cameras were moved.
-
-    Attributes:
-        caption: Written over all of them.
-        scales: What the colours mean in each subject of the scene; None if nothing is coloured.
-        legends: Further legends of a subject, as HTML that is safe.
-        presents: Whether words of a demonstration stand in a band at the foot.
-        note: What was done to the pair to show it so, in words.
-    """
+    """The state of the pages' canvases, and where their cameras were moved."""
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
         self._bridge = bridge
@@ -75,11 +62,12 @@ class Canvases:
             weakref.WeakKeyDictionary()
         )
         self._listeners: list[OnCanvas] = []
-        self.caption: dict[str, str] = {}
+        self.caption: dict[str, str] = {}  # written over all of them
+        # what the colours mean in each subject of the scene; None if nothing is coloured
         self.scales: dict[str, Scale | None] = {}
-        self.legends: dict[str, str] = {}
-        self.note = ""
-        self.presents = False
+        self.legends: dict[str, str] = {}  # further legends of a subject, as HTML that is safe
+        self.note = ""  # what was done to the pair to show it so, in words
+        self.presents = False  # whether words of a demonstration stand in a band at the foot
         style = fill_page_file("lower_third.css")
         for script in ("canvas.js", "swipe.js", "story.js"):
             host.gui.add_html(inline_script(fill_page_file(script, LOWER_THIRD=style)))
@@ -98,11 +86,9 @@ class Canvases:
         return replace(canvas, bottom=BAND * min(canvas.width, canvas.height))
 
     def knows(self, page: viser.ClientHandle) -> bool:
-        """Whether a page has reported how large its canvas is."""
         return page in self._canvases
 
     def is_dark(self, page: viser.ClientHandle) -> bool:
-        """Whether a page is dark; True before it has reported that."""
         return self._dark.get(page, True)
 
     def bring(self, page: viser.ClientHandle, camera: Camera) -> None:
@@ -116,7 +102,6 @@ class Canvases:
         self._brought[page] = (camera, *self._brought.get(page, ()))[:4]
 
     def is_by_hand(self, page: viser.ClientHandle) -> bool:
-        """Whether a page's camera has left the views last set."""
         brought = self._brought.get(page)
         if not brought:
             return False

@@ -42,7 +42,6 @@ class Command:
 
     @property
     def keys(self) -> str:
-        """The keys as text; empty if it has none."""
         if self.key is None:
             return self.heard
         parts = [*(self.modifier or "").split("+"), self.key]

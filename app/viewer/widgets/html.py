@@ -66,6 +66,14 @@ def table(rows: tuple[tuple[str, str], ...]) -> str:
     return f'<table style="border-collapse:collapse;font-size:13px">{cells}</table>'
 
 
+def figures(
+    test_id: str, rows: tuple[tuple[str, str], ...], lead: str = "", below: str = ""
+) -> str:
+    """Write a table, and above and below it HTML that is safe."""
+    inner = f"{lead}{table(rows)}{below}"
+    return f'<div data-testid="{test_id}" style="padding:.1em .75em .3em">{inner}</div>'
+
+
 def message_line(test_id: str, message: str, color: str) -> str:
     """Write what happens or came of something as a small line; empty for an empty message."""
     return box(test_id, escape(message), f"font-size:12px;color:{color}") if message else ""

@@ -121,15 +121,9 @@ def histogram_svg(
 ) -> str:
     """Draw the bars in the colours of the legend, with masked cells in grey on top.
 
-    Args:
-        histogram: What to draw.
-        scale: What the colours mean.
-        thresholds: Values at which the mask stands on this layer, each with the colour of the
-            submap that it holds for; None for the text's colour.
-        picked: Values whose cells are picked out; `histogram.js` lets a hand choose them.
-
-    Returns:
-        A picture for a page, as wide as the colour bar that it stands upon.
+    The thresholds are values at which the mask stands on this layer, each with the colour of the
+    submap that it holds for, or None for the text's. `histogram.js` lets a hand pick values out.
+    The picture is as wide as the colour bar that it stands upon.
     """
     # Without points a map is level: one bin of masked cells would dwarf all others.
     tallest = histogram.trusted if histogram.num_trusted else histogram.masked

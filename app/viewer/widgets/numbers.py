@@ -64,34 +64,22 @@ class Pressed(Struct):
 
 @dataclass(frozen=True)
 class Chip:
-    """What a chip says.
+    """What a chip says."""
 
-    Attributes:
-        word: One short word.
-        hint: Shown where the pointer rests on it.
-        back: Whether it can be pressed, to go back.
-    """
-
-    word: str
-    hint: str
-    back: bool = False
+    word: str  # one short word
+    hint: str  # shown where the pointer rests on it
+    back: bool = False  # whether it can be pressed, to go back
 
 
 @dataclass(frozen=True)
 class Strip:
-    """What holds at the values of a slider.
+    """What holds at the values of a slider."""
 
-    Attributes:
-        edges: Values between which the same holds, ascending.
-        accepted: Whether the pair is a loop closure, of each stretch between two edges.
-        hint: The same in words, and the result at each value.
-        stale: Whether it was so before the last change, and is being computed anew.
-    """
-
-    edges: tuple[float, ...]
+    edges: tuple[float, ...]  # values between which the same holds, ascending
+    # whether the pair is a loop closure, of each stretch between two edges
     accepted: tuple[bool, ...]
-    hint: str
-    stale: bool = False
+    hint: str  # the same in words, and the result at each value
+    stale: bool = False  # whether it was so before the last change, and is being computed anew
 
 
 @dataclass(frozen=True)
@@ -102,21 +90,16 @@ class _Box:
 
 
 class Numbers:
-    """Receives what is typed into the number boxes of a session, and where sliders are released.
-
-    Attributes:
-        refuse: Called with why a number was refused.
-        rested: Called with the name of a widget, and its value on release; None for the last
-            that it has sent.
-        chips: By the name of their slider.
-        strips: Likewise.
-    """
+    """Receives what is typed into the number boxes of a session, and where sliders are released."""
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
+        # called with why a number was refused
         self.refuse: Callable[[str], None] = lambda why: None  # noqa: ARG005
+        # called with the name of a widget, and its value on release; None for the last that it has
+        # sent
         self.rested: Callable[[str, float | None], None] = lambda widget, value: None  # noqa: ARG005
-        self.chips: Mapping[str, Chip] = {}
-        self.strips: Mapping[str, Strip] = {}
+        self.chips: Mapping[str, Chip] = {}  # by the name of their slider
+        self.strips: Mapping[str, Strip] = {}  # likewise
         self._bridge = bridge
         self._boxes: dict[str, _Box] = {}
         self._decades: dict[str, bool] = {}  # sliders over decades: whether their numbers are whole
@@ -135,14 +118,10 @@ class Numbers:
         act: Callable[[float], None],
         go_back: Callable[[], None] = lambda: None,
     ) -> None:
-        """Call a function with each number that is typed into a box.
+        """Call a function with each number that is typed into a box; it shows the result.
 
-        Args:
-            handle: A number box, or a slider, which has one beside it.
-            bounds: What may be typed. If they span decades, so does the slider.
-            act: Called with the number; it shows the result. Its `InputError` is
-                reported.
-            go_back: Called when the slider's chip is pressed.
+        The box is a number's, or that beside a slider, which spans decades where the bounds do.
+        An `InputError` is reported. ``go_back`` is called when the slider's chip is pressed.
         """
         name, _, _ = str(handle.label).partition(" [")
         whole = isinstance(handle.value, int)
@@ -155,12 +134,10 @@ class Numbers:
             self._tell()
 
     def show_chips(self, chips: Mapping[str, Chip]) -> None:
-        """Show chips, by the names of their sliders."""
         self.chips = chips
         self._tell()
 
     def show_strips(self, strips: Mapping[str, Strip]) -> None:
-        """Show strips, by the names of their sliders."""
         self.strips = strips
         self._tell()
 
@@ -214,14 +191,7 @@ def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bo
     >>> read_number("80 cm", "Radius", Bounds(0.0, 10.0, 0.1, "m"), whole=False)
     0.8
 
-    Args:
-        text: What was typed.
-        name: What the message calls it.
-        bounds: What it may be; None for anything.
-        whole: Whether it must be a whole number.
-
-    Raises:
-        InputError: If it is no number, if it can be read in two ways, or if it is out of bounds.
+    An InputError by that name refuses what is no number, is out of bounds, or has two readings.
     """
     typed = text.strip().replace("\N{MINUS SIGN}", "-")
     shown = typed

@@ -58,21 +58,13 @@ class Panel(Generic[P]):
     ) -> None:
         """Make the widgets in the current container.
 
-        Args:
-            host: Whose GUI they join.
-            value: What they start at.
-            on_change: Called with the new value after each change by a user.
-            widgets: How fields are offered, by their paths, if their annotations have none;
-                those of groups that are not among them lie in the folder.
-            folder: Title of the folder.
-            below: By the path of a field, what makes other widgets below its own; by the title of
-                the folder, what makes those that stand first in it.
-            implied: Returns a value with what it implies, which decides what unfolds.
-            numbers: Receives what is typed beside the sliders.
-            used: The value with numbers for what is automatic; the sliders show these.
-            default: What sliders mark and chips lead back to; None makes no marks and no chips.
-            on_move: Called in place of ``on_change`` while a slider is being dragged.
-            on_error: Called with the message if a value is refused.
+        ``widgets`` says how fields are offered, by their paths, if their annotations have none;
+        those of groups that are not among them lie in the folder. ``below`` makes other widgets:
+        below that of a field, by its path, or first in the folder, by its title. ``implied``
+        returns a value with what it implies, which decides what unfolds. ``used`` has numbers for
+        what is automatic, which the sliders show. To the default sliders have marks and chips; None
+        makes none of them. ``on_move`` takes the place of ``on_change`` while a slider is being
+        dragged, and ``on_error`` has the message if a value is refused.
         """
         self.value, self.used = value, value if used is None else used
         self._host, self._numbers, self._implied, self._default = host, numbers, implied, default
@@ -121,13 +113,7 @@ class Panel(Generic[P]):
         return self._default
 
     def adapt(self, default: P, hidden: Collection[str], automatic: Mapping[str, str]) -> None:
-        """Adapt to another method.
-
-        Args:
-            default: What `reset` restores from now on.
-            hidden: Paths of the parameters that do nothing in it; all others are shown.
-            automatic: Labels of boxes for "automatic", by their paths; all others as usual.
-        """
+        """Adapt to another method: its default, unused paths, and labels of boxes by path."""
         self._default, self._hidden = default, hidden
         for path, row in self._rows.items():
             if row.box is not None:
@@ -140,19 +126,12 @@ class Panel(Generic[P]):
         self._write(self._rows[path])
 
     def uuid_of(self, path: str) -> str:
-        """The UUID by which a page refers to the widget of a field."""
         return uuid_of(self._rows[path].handle)
 
     def with_moved(self, value: P, widget: str, number: float) -> P:
         """Copy another value with the number at which a slider of this panel stands.
 
-        Args:
-            value: The other one.
-            widget: By which a page knows the slider; of another panel it changes nothing.
-            number: As the page says it.
-
-        Raises:
-            InputError: If the number is refused.
+        The slider of another panel changes nothing. A number that is refused is an InputError.
         """
         for path, row in self._rows.items():
             if uuid_of(row.handle) == widget:
@@ -197,7 +176,6 @@ class Panel(Generic[P]):
         )
 
     def _add_input(self, field: Field, widget: Widget, label: str) -> viser.GuiInputHandle[Any]:
-        """Make the widget of a choice, a truth value or a number without a slider."""
         gui, bounds, kind = self._host.gui, field.bounds, field.kind
         value: Any = get_path(self.used, field.path)
         if isinstance(kind, tuple):
@@ -237,7 +215,6 @@ class Panel(Generic[P]):
         )
 
     def _add_box(self, field: Field, widget: Widget) -> viser.GuiInputHandle[bool]:
-        """Add the box for "automatic" of a number."""
         label = _automatic_label(field, widget)
         is_automatic = get_path(self.value, field.path) is None
         box = self._host.gui.add_checkbox(label, is_automatic, hint=field.doc)
@@ -264,7 +241,6 @@ class Panel(Generic[P]):
         (self._on_move if moves else self._on_change)(self.value)
 
     def _go_back(self, field: Field) -> None:
-        """Make a field what it is by default."""
         default, used = get_path(self._default, field.path), self.used
         value = with_path(self.value, field.path, default)
         self.set(value, used if default is None else with_path(used, field.path, default))
@@ -300,7 +276,6 @@ class Panel(Generic[P]):
         )
 
     def _chip(self, row: _Row) -> Chip:
-        """Where the value of a slider comes from."""
         value, default, used = (
             get_path(params, row.field.path) for params in (self.value, self._default, self.used)
         )

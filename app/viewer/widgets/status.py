@@ -35,12 +35,8 @@ class WorkBar:
     ) -> None:
         """Make the widgets in the current container.
 
-        Args:
-            host: Whose GUI they join.
-            cancel: Label of the button that cancels.
-            test_id: Names the work for tests; see `message_line`.
-            starts: Buttons that start the work; they are hidden while it runs.
-            done_color: Of the message once the work is done.
+        ``cancel`` is the label of the button that cancels; buttons that start the work are hidden
+        while it runs. The id names the work for tests.
         """
         gui = host.gui
         self._cancel = gui.add_button(cancel, visible=False)
@@ -61,11 +57,8 @@ class WorkBar:
     def running(self, what: str, fraction: float, phases: Mapping[str, float] = WHOLE) -> None:
         """Show what runs and how far it is.
 
-        Args:
-            what: As a person calls it.
-            fraction: Of the work that is done.
-            phases: The fraction at which each phase ends, by its name, in order. Each has a pace of
-                its own, and the time left is that of the present one.
+        The phases are the fractions at which each ends, by its name, in order. Each has a pace of
+        its own, and the time left is that of the present one.
         """
         self._set_running(True)
         self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
@@ -76,7 +69,6 @@ class WorkBar:
         self._say(f"{what} … {100 * fraction:.0f} %{told and f', {told}'}", BUSY)
 
     def idle(self) -> None:
-        """Show that nothing runs, without a message."""
         self._set_running(False)
         self._message.content = ""
 
@@ -115,19 +107,12 @@ class TimeLeft:
         self._fractions: list[float] = []
 
     def forget(self) -> None:
-        """Begin anew with what comes next."""
         self._times, self._fractions = [], []
 
     def at(
         self, fraction: float, now: float, phases: Mapping[str, float] = WHOLE
     ) -> tuple[str, float | None]:
-        """The phase and the time that is left of it [s]; None if that is too uncertain.
-
-        Args:
-            fraction: Of the whole work that is done.
-            now: The time [s].
-            phases: See `WorkBar.running`.
-        """
+        """The phase and the time that is left of it [s]; None if that is too uncertain."""
         phase, end = next(
             (item for item in phases.items() if fraction < item[1]), list(phases.items())[-1]
         )

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from app.cli import FAILED, INTERRUPTED, VERBS, run
-from app.cli.events import EVENTS
-from app.cli.terminal import conclude, exit_code, progress_bar, say, warn
+from app.cli.terminal import EVENTS, conclude, exit_code, progress_bar, say, warn
 
 FIELDS = {
     "started": {"verb", "gpgrad"},

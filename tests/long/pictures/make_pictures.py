@@ -22,7 +22,7 @@ from app.cli import run
 from app.cli.demo import Demo
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.cameras import ease, set_start
-from app.viewer.session.simulated import begin_drive
+from app.viewer.session.following import begin_drive
 from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams, register_pair

@@ -106,7 +106,6 @@ class LocateTool(Feature):
         self._downloads = Downloads(desk.jobs, self.bar, desk.capacity.long)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Forget the results of another dataset."""
         if state.view.dataset is before.view.dataset:
             return
         self._work.cancel()

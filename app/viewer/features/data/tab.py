@@ -154,7 +154,6 @@ class DataTab(Feature):
             self._list()
 
     def restore(self, saved: SavedSession) -> None:
-        """Open what a saved session had open, with all that it had set."""
         self._loader.start(Request(saved.dataset, saved=saved))
 
     def _watch(self, fraction: float | None, message: str) -> None:
@@ -192,12 +191,10 @@ class DataTab(Feature):
         self.refuse(f"{said.name[:80]}: {why}")
 
     def refuse(self, message: str) -> None:
-        """Report why a file that a page sends was refused."""
         self.work_bar.failed(message)
         self._on_error(message)
 
     def close(self) -> None:
-        """Remove what was uploaded."""
         if self._uploads is not None:
             shutil.rmtree(self._uploads, ignore_errors=True)
 

@@ -245,7 +245,6 @@ class AllPairsTab(Feature):
         )
 
     def _watch(self, fraction: float | None, message: str) -> None:
-        """Report how far the run is, and show what it has so far."""
         if fraction is None:
             self._offer()
         self._desk.update_pairs(lambda pairs: pairs._replace(fraction=fraction, message=message))
@@ -381,7 +380,6 @@ class AllPairsTab(Feature):
         return None if cell is None else (cell.query, cell.database)
 
     def _set_threshold(self, _page: viser.ClientHandle, msg: ThresholdMsg) -> None:
-        """Set the least score to where it was dragged."""
         params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
         field = next(field for field in parameters_of(PipelineParams) if field.path == path)
         try:

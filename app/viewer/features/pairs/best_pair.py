@@ -133,7 +133,6 @@ class BestPair(Feature):
         commands.add("Pair", "Show the best loop closure", self.show_best)
 
     def add_button(self) -> None:
-        """Make the button "Show best" in the current container."""
         self._button = self._desk.host.gui.add_button(
             "Show best",
             disabled=True,
@@ -188,7 +187,6 @@ class BestPair(Feature):
     # Requests.
 
     def show_best(self) -> None:
-        """Show the best loop closure so far, or search for one."""
         best = self._best_judged()
         if best is not None:
             self._modes.tune(*best.pair)
@@ -228,7 +226,6 @@ class BestPair(Feature):
             return ends
 
     def _tell(self, job: _Search, text: str) -> None:
-        """Show how far a search is, unless it has ended."""
         if job is self._running:
             why = "" if job.asked else "This pair is no loop closure. "
             self.note.say(why + text, watch=job.number)

@@ -82,7 +82,6 @@ def _color_bar(high: float, threshold: float) -> str:
 
 
 def _key(judged: JudgedPairs, look: MatrixLook) -> str:
-    """Name the marks that the matrix has."""
     outcomes = set(judged.outcomes.values())
     names = [name for name in OUTCOME_COLORS if name in outcomes]
     names += ["not compared"] if judged.num_skipped else []

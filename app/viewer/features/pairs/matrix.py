@@ -76,7 +76,6 @@ class PairCells:
 
     @property
     def has_blocks(self) -> bool:
-        """Whether a cell stands for several pairs."""
         return any(len(group) > 1 for group in (*self.rows, *self.columns))
 
     def place(self, query: str, database: str) -> tuple[int, int] | None:
@@ -88,18 +87,14 @@ class PairCells:
 
 @dataclass(frozen=True)
 class MatrixLook:
-    """How a matrix is drawn.
+    """How a matrix is drawn."""
 
-    Attributes:
-        threshold: The score from which on pairs may be accepted, where the colours have a step.
-        by_hand: What a person decided about pairs.
-        width: Of the picture in its own units.
-        asks: Whether the page asks the server what a cell holds, of which it would have too many.
-    """
-
+    # the score from which on pairs may be accepted, where the colours have a step
     threshold: float = 0.0
+    # what a person decided about pairs
     by_hand: Mapping[PairOfIds, bool] = field(default_factory=dict[PairOfIds, bool])
-    width: float = WIDTH
+    width: float = WIDTH  # of the picture in its own units
+    # whether the page asks the server what a cell holds, of which it would have too many
     asks: bool = False
 
 

@@ -91,12 +91,10 @@ class PairsRun:
 
     @property
     def num_pairs(self) -> int:
-        """Largest number of pairs that it compares."""
         return sum(num_candidates(self.candidates, k) for k in range(len(self.dataset.submaps)))
 
     @property
     def num_left(self) -> int:
-        """Largest number of pairs that are still to be compared."""
         return 0 if self.has_ended else self.num_pairs - len(self.registered)
 
     def is_of(self, state: ViewState) -> bool:
@@ -120,14 +118,8 @@ class PairsRun:
 def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> None:
     """Measure how far the pairs of a dataset truly overlap, and register those that are missing.
 
-    Args:
-        run: What to compare. It has every pair as soon as that is compared, and the truth before
-            the first one; then the progress hook is called.
-        memo: Shared with whatever else needs maps of the same submaps.
-        progress: Called from this thread; may raise Cancelled.
-
-    Raises:
-        InputError: If a submap's map fails, or an image cannot be read.
+    The run has every pair as soon as that is compared, and the truth before the first one; then the
+    progress hook is called, from this thread.
     """
     if run.truth is None and len(run.dataset.true_poses) >= 2:
         run.truth = measure_pairs(run.dataset, part(progress, 0.0, TRUTH_SHARE))
@@ -216,7 +208,6 @@ class JudgedPairs:
 
     @property
     def ranked(self) -> list[LoopClosure]:
-        """The same, the highest score first."""
         return sorted(self.closures, key=lambda closure: -closure.registration.score)
 
     @property

@@ -7,12 +7,11 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.pairs.all_pairs import AllPairsTab
 from app.viewer.features.pairs.model import PHASES
 from app.viewer.features.pairs.pair_list import PairList
-from app.viewer.features.work import Downloads, Work
+from app.viewer.features.work import Downloads, Work, write_closure_file
 from app.viewer.features.world import SCORE_MAP, Correction, WorldTab
 from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import DECIDES, count_kinds, with_verdict

@@ -42,7 +42,6 @@ class FitTool(Feature):
         )
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """A fit to submaps that are no longer shown is stopped."""
         self._button.visible = not METHODS[state.view.method].fits_each
         if not _same_submaps(before.view, state.view):
             self._fitter.cancel()

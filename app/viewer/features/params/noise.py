@@ -52,7 +52,6 @@ class NoiseTool(Feature):
         )
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Draw the noise of the submaps that are shown."""
         if isinstance(news, PairShown):
             self._ask(news.state, news.state.pair)
         elif isinstance(news, SubmapShown):

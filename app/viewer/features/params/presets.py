@@ -31,18 +31,12 @@ MOST = 200
 
 @dataclass(frozen=True)
 class Preset:
-    """Parameters worth coming back to.
-
-    Attributes:
-        name: Its name.
-        purpose: What it is good for, in one line.
-        params: The parameters.
-        method: Whose parameters they are; None is any method's, as a file does not say.
-    """
+    """Parameters worth coming back to."""
 
     name: str
-    purpose: str
+    purpose: str  # what it is good for, in one line
     params: PipelineParams
+    # whose parameters they are; None is any method's, as a file does not say
     method: MethodName | None = "gradient"
 
     def is_set(self, method: MethodName, params: PipelineParams) -> bool:
@@ -112,9 +106,7 @@ def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
 def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
     """Save parameters as one of the user's presets; one of the same name is replaced.
 
-    Raises:
-        InputError: If the name cannot be used, there are too many presets already, or the file
-            cannot be written.
+    An InputError refuses the name, one preset too many, or a file that cannot be written.
     """
     path = _path(folder, name)
     with writable(path):
@@ -127,11 +119,7 @@ def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
 
 
 def delete_preset(folder: Path, name: str) -> None:
-    """Delete one of the user's presets.
-
-    Raises:
-        InputError: If there is none of that name.
-    """
+    """Delete one of the user's presets."""
     try:
         _path(folder, name).unlink()
     except OSError as error:

@@ -137,12 +137,9 @@ class SensitivityTool(Feature):
     """Varies parameters in the background, and shows what that does to the verdict."""
 
     def __init__(self, desk: Desk, main: Iterable[str], uuid_of: Callable[[str], str]) -> None:
-        """Begin without strips.
+        """Begin without strips, for the sliders of some parameters, by their paths.
 
-        Args:
-            desk: Of the session.
-            main: Parameters whose sliders have strips, by their paths.
-            uuid_of: Gives the name by which a page knows the slider of a path.
+        ``uuid_of`` gives the name by which a page knows the slider of a path.
         """
         self._desk, self._uuid_of = desk, uuid_of
         self._lock = threading.RLock()
@@ -184,7 +181,6 @@ class SensitivityTool(Feature):
             self._background.submit(view)
 
     def _fields(self, state: ViewState) -> list[Field]:
-        """List the parameters that have a strip."""
         unused = METHODS[state.method].unused
         return [field for path, field in self._main.items() if path not in unused]
 

@@ -76,11 +76,7 @@ OF_EACH = {
 
 
 class ParamsTab(Feature):
-    """Sliders that change the session's parameters, and that follow where others change them.
-
-    Attributes:
-        container: The folder in which all of it lies.
-    """
+    """Sliders that change the session's parameters, and that follow where others change them."""
 
     def __init__(
         self,
@@ -94,6 +90,7 @@ class ParamsTab(Feature):
         self._default = default
         self._shown: MethodName = desk.state.method
         self._add_row(commands)
+        # the folder in which all of it lies
         self.container = desk.host.gui.add_folder("Parameters")
         with self.container:
             self._panel: Panel[PipelineParams] = Panel(
@@ -134,7 +131,6 @@ class ParamsTab(Feature):
         self._desk.join(ReferenceTool(self._desk, commands))
 
     def _add_tools(self) -> None:
-        """Add the method, the presets, and the tools beside the sliders."""
         desk = self._desk
         self._method = desk.host.gui.add_dropdown(
             "Method",

@@ -24,7 +24,6 @@ class HistoryTool(Feature):
     """
 
     def __init__(self, desk: Desk, commands: Commands) -> None:
-        """Make the buttons in the current container; the commands get their keys."""
         self._desk = desk
         self._lock = threading.Lock()
         self._latest = desk.state.setting
@@ -100,7 +99,6 @@ class ReferenceTool(Feature):
     """Sets the setting that the present one is shown beside: A, while the sliders change B."""
 
     def __init__(self, desk: Desk, commands: Commands) -> None:
-        """Make the buttons in the current container; the commands get their keys."""
         self._desk = desk
         acts = {KEEP: self._keep, SWAP: self._swap, LEAVE: desk.leave_reference}
         self._buttons = desk.host.gui.add_button_group(

@@ -12,11 +12,10 @@ from typing import Literal, TypeAlias
 import viser
 from msgspec import Struct
 
-from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import Desk, Detect, Feature, Restore
 from app.viewer.features.pair import headline_of
 from app.viewer.features.save.report import lines_below, report_html
-from app.viewer.features.work import Downloads, safe_name, send_file
+from app.viewer.features.work import Downloads, safe_name, send_file, write_closure_file
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.decisions import Decisions, decide, with_verdict

@@ -20,7 +20,6 @@ class Pace:
     """Pause after a showing: so many times as long as that took, and at least so long [s]."""
 
     def __init__(self) -> None:
-        """Begin with what is due at once."""
         self._due = self._began = 0.0
 
     @property
@@ -30,7 +29,6 @@ class Pace:
         return self._began >= self._due
 
     def rest(self) -> None:
-        """Begin a pause."""
         now = time.monotonic()
         self._due = now + max(self.LEAST, self.RESTS_FOR * (now - self._began))
 

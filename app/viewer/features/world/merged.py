@@ -3,6 +3,7 @@
 Where several submaps see a cell of ground, its height is their mean with the weights of Kalman,
 the inverse variances, which fall to zero where the mask of a map ends. So there is one height
 everywhere: nothing lies in front of anything else, and no rim shows where the poses are right.
+Tracks and outlines run over it, so that no hill hides them.
 """
 
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from jaxtyping import Float, Int
 from app.viewer.features.world.submaps import Terrain, WorldColor, submap_color
 from app.viewer.scene.colors import Colors, colorize, hillshade, shade
 from app.viewer.scene.layers import OVERLAP, Scale, Surfels, light_slopes
+from app.viewer.scene.nodes import LinePoints
 from app.viewer.session.layers import LAYERS, Layer
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import Pose
@@ -35,6 +37,10 @@ LAYER_OF: dict[WorldColor, Layer] = {
 }
 ROW = np.int64(2**32)
 """Numbers of cells in one row of the lattice of the world."""
+MOST_PIECES = 1500
+"""Straight pieces of one way."""
+REACH = 3
+"""A way is level over so many of its pieces at either side, so that no bump pierces it."""
 NOTHING_SEEN = np.zeros(0, np.int64), np.zeros((0, 9))
 
 
@@ -171,11 +177,10 @@ def merge_at(
 def _sight(
     place: int, surface: Terrain, pose: Pose, resolution: float
 ) -> tuple[Int[NDArray[np.int64], "k"], Float[Array, "k 9"]]:
-    """What one submap observed.
+    """What one submap observed: the number of each cell on the lattice, and rows of values.
 
-    Returns:
-        The number of each cell on the lattice; and its height, variance, slope along x and y,
-        weight, x, y, squared distance from the submap's middle, and the submap's place.
+    These are height, variance, slope along x and y, weight, x, y, squared distance from the
+    submap's middle, and the submap's place.
     """
     gradient_map, grid = surface.gradient_map, surface.gradient_map.grid
     trusted = gradient_map.trusted(surface.max_std_ratio) & np.isfinite(gradient_map.elevation)
@@ -285,3 +290,57 @@ def _values(terrain: MergedTerrain, color: WorldColor) -> Float[Array, "n"]:
     if color == "gradient":
         return np.hypot(terrain.slope[:, 0], terrain.slope[:, 1])
     return terrain.std if color == "deviation" else terrain.positions[:, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Drape:
+    """How a way through some places runs over the ground.
+
+    A place of it is a number: 2.5 is halfway between the third and the fourth vertex.
+    """
+
+    at: Float[Array, "m"]
+    rise: Float[Array, "m"]  # above the straight way there [m]
+    num_places: int
+
+    def over(self, places: Float[Array, "n 3"]) -> Float[Array, "m 3"]:
+        """The way through the same places, wherever they have moved since [m]."""
+        return _along(places, self.at) + self.rise[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+def drape(places: Float[Array, "n 3"], terrain: MergedTerrain | None, margin: float) -> Drape:
+    """Drape the way through places of the world over its ground, with a margin above it [m].
+
+    Where there is no ground, it goes on as far above or below the places as beside it.
+    """
+    if terrain is None or len(places) < 2:
+        return Drape(np.arange(float(len(places))), np.full(len(places), margin), len(places))
+    steps = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1)
+    step = max(2 * terrain.resolution, float(steps.sum()) / MOST_PIECES)
+    counts = np.maximum(np.ceil(steps / step).astype(int), 1)
+    at = np.concatenate([k + np.arange(count) / count for k, count in enumerate(counts)])
+    at = np.append(at, len(places) - 1.0)
+    straight = _along(places, at)
+    rise = terrain.heights_near(straight[:, :2]) - straight[:, 2]
+    seen = np.flatnonzero(np.isfinite(rise))
+    rise = np.interp(np.arange(len(at)), seen, rise[seen]) if len(seen) else 0.0 * at
+    # The highest near each place, and of those the mean: smooth, and nowhere below the ground.
+    near = np.lib.stride_tricks.sliding_window_view
+    for reduce in (np.max, np.mean):
+        rise = reduce(near(np.pad(rise, REACH, mode="edge"), 2 * REACH + 1), axis=1)
+    return Drape(at, rise + margin, len(places))
+
+
+def _along(places: Float[Array, "n 3"], at: Float[Array, "m"]) -> Float[Array, "m 3"]:
+    numbers = np.arange(len(places))
+    return np.column_stack([np.interp(at, numbers, column) for column in places.T])
+
+
+def lines_of(way: Float[Array, "m 3"], dash: float = 0.0) -> LinePoints:
+    """Join a way's places, all of them or as dashes of a length [m]."""
+    lines = np.stack([way[:-1], way[1:]], axis=1).astype(np.float32)
+    if dash <= 0.0 or not len(lines):
+        return lines
+    lengths = np.linalg.norm(lines[:, 1, :2] - lines[:, 0, :2], axis=1)
+    middles = np.cumsum(lengths) - lengths / 2
+    return lines[(middles % (1.6 * dash)) < dash]

@@ -48,7 +48,6 @@ class Correction:
 
     @property
     def corrected(self) -> Poses | None:
-        """The corrected poses, if there are any."""
         return None if self.graph is None else self.graph.poses
 
 
@@ -222,12 +221,10 @@ class World:
 
     @property
     def placed(self) -> dict[str, Terrain]:
-        """The surfaces of the submaps that stand somewhere."""
         return {name: ground for name, ground in self.surfaces.items() if name in self.poses}
 
     @property
     def certain(self) -> dict[str, Float[Array, "3 3"]]:
-        """The covariances of the poses that have one, by ID."""
         known = self.correction.covariances
         if known is None or self.options.poses != "corrected":
             return {}

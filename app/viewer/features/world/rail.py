@@ -14,7 +14,7 @@ from app.viewer.scene.colors import css
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_choice
-from app.viewer.widgets.html import FAINT, paragraph, table
+from app.viewer.widgets.html import FAINT, figures, paragraph
 from app.viewer.widgets.legend import canvas_legend
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import count
@@ -45,15 +45,11 @@ class WorldRail:
         self._slider.visible = visible and self._moves
 
     def show(self, world: World, terrain: MergedTerrain | None) -> None:
-        """Show the figures of a world, and how far it is from before to after."""
         self._moves = world.correction.graph is not None
         self._slider.visible = self._figures.visible and self._moves
         if self._slider.value != world.share:
             self._slider.value = world.share
-        self._figures.content = (
-            '<div data-testid="world-figures" style="padding:.1em .75em .3em">'
-            f"{table(figures_of_world(world, terrain))}</div>"
-        )
+        self._figures.content = figures("world-figures", figures_of_world(world, terrain))
 
     def show_place(
         self, terrain: MergedTerrain | None, place: Float[Array, "2"] | None
@@ -66,10 +62,7 @@ class WorldRail:
                 words = "At these poses, no submap saw the chosen place."
             self._place.content = paragraph(words, FAINT)
             return None
-        self._place.content = (
-            '<div data-testid="place" style="padding:.1em .75em .3em"><b>Place</b>'
-            f"{table(rows_of_place(terrain, cell))}</div>"
-        )
+        self._place.content = figures("place", rows_of_place(terrain, cell), "<b>Place</b>")
         return cell
 
 

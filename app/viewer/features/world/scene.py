@@ -11,8 +11,16 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
-from app.viewer.features.world.draping import Drape, drape, lines_of
-from app.viewer.features.world.merged import MergedTerrain, merge, merge_at, pieces, world_scale
+from app.viewer.features.world.merged import (
+    Drape,
+    MergedTerrain,
+    drape,
+    lines_of,
+    merge,
+    merge_at,
+    pieces,
+    world_scale,
+)
 from app.viewer.features.world.model import World
 from app.viewer.features.world.submaps import PoseSource, Terrain, WorldOptions
 from app.viewer.scene.associations import arcs
@@ -177,13 +185,7 @@ def ellipses(covariances: Mapping[str, Float[Array, "3 3"]], feet: Feet) -> Line
 
 
 class WorldScene:
-    """All submaps of a dataset under one frame that can be hidden.
-
-    Attributes:
-        terrain: The ground that is shown.
-        scale: What its colours mean.
-        arches: The loops that are drawn.
-    """
+    """All submaps of a dataset under one frame that can be hidden."""
 
     def __init__(self, host: Host, *, visible: bool = False) -> None:
         """Make the frame; nothing is shown until `show`."""
@@ -195,11 +197,11 @@ class WorldScene:
         }
         self._origin = np.zeros(3)
         self._shown: World | None = None
-        self.terrain: MergedTerrain | None = None
+        self.terrain: MergedTerrain | None = None  # the ground that is shown
         self._look: tuple[object, object] | None = None  # terrain and colours that the nodes have
-        self.scale: Scale | None = None
+        self.scale: Scale | None = None  # what its colours mean
         self._alone: dict[str, Terrain] = {}  # whose nodes have what is not merged yet
-        self.arches: tuple[LoopClosure, ...] = ()
+        self.arches: tuple[LoopClosure, ...] = ()  # the loops that are drawn
         self._extents: dict[str, Box] = {}
         self._width = 0.0  # of a submap [m]
         self._margin = 0.0  # of what stands on the ground, above it [m]
@@ -233,11 +235,9 @@ class WorldScene:
     ) -> Scale | None:
         """Show a world as one consistent change; returns what its colours mean.
 
-        Args:
-            world: What to show.
-            at: Other poses to put the submaps at for the moment, before `mover` moves them on.
-            merges: Whether the ground is merged anew, which takes a while. Otherwise each submap
-                keeps its part of it, and a new one lies on top, until `take` receives the ground.
+        ``at`` are other poses to put the submaps at for the moment, before `mover` moves them on.
+        To merge the ground anew takes a while; else each submap keeps its part of it, and a new one
+        lies on top, until `take` receives the ground.
         """
         with self._lock, self._host.atomic():
             self._measure(world)
@@ -323,7 +323,6 @@ class WorldScene:
             node.show(name, self._rises[name] - self._margin, made.get(name), sides.get(name))
 
     def _sides(self, world: World) -> dict[str, Side]:
-        """Choose which submaps are named, and at which side of their middle."""
         if not world.options.names:
             return {}
         names = list(world.poses)
@@ -401,7 +400,6 @@ class WorldScene:
         return loops[nearest] if angles[nearest] < reach else None
 
     def mark(self, cell: int | None) -> None:
-        """Mark a cell of the terrain by a pin, or none."""
         pin, terrain = NO_LINES, self.terrain
         if cell is not None and terrain is not None:
             foot = self.spot(cell)

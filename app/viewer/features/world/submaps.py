@@ -171,11 +171,7 @@ class Terrain:
 
 
 def quick_surface(submap: Submap, params: MapParams, num_submaps: int, *, memo: Memo) -> Terrain:
-    """Make the smoothed grid of a submap, coarser the more submaps there are.
-
-    Raises:
-        InputError: If the grid would be too large.
-    """
+    """Make the smoothed grid of a submap, coarser the more submaps there are."""
     finest = sqrt(memo(footprint, submap) * num_submaps / MADE_CELLS)
     resolution = min(
         max(params.resolution, round(finest + 0.0005, 3)), 10.0
@@ -239,9 +235,6 @@ def inferred_surface(
     """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
 
     Of many submaps only some rows and columns remain, so that all fit into memory.
-
-    Raises:
-        InputError: If the map cannot be inferred.
     """
     made = infer_quick_map(submap, params.map, memo, progress)
     stride = stride_for(made.grid.num_cells, max(1, MADE_CELLS // num_submaps))

@@ -38,7 +38,7 @@ from app.viewer.session.news import AllPairs, SessionState
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by
 from app.viewer.widgets.commands import Commands
-from app.viewer.widgets.html import FAINT, paragraph, summary, table
+from app.viewer.widgets.html import FAINT, figures, paragraph, summary
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.panel import Panel
 from app.viewer.widgets.status import WorkBar
@@ -81,12 +81,7 @@ class _Inferred:
 
 
 class WorldTab(Feature):
-    """The world in which all submaps lie; drawn only while it is looked at.
-
-    Attributes:
-        scene: Where they lie.
-        world: What is shown, or was last.
-    """
+    """The world in which all submaps lie; drawn only while it is looked at."""
 
     _bar: WorkBar
     _legend: viser.GuiHtmlHandle
@@ -100,13 +95,13 @@ class WorldTab(Feature):
         self._lock = threading.Lock()
         self._state = desk.state
         self._target = World.of(desk.state.dataset)
-        self.world: World | None = None
+        self.world: World | None = None  # what is shown, or was last
         self._inferred = _Inferred()
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
         self._framed: object = None  # the dataset that the cameras were brought to
         self._pace = Pace()  # of merging a ground that grows
         self.rail: WorldRail | None = None
-        self.scene = WorldScene(desk.host, visible=visible)
+        self.scene = WorldScene(desk.host, visible=visible)  # where they lie
         gui = desk.host.gui
         self._summary = gui.add_html("")
 
@@ -165,11 +160,9 @@ class WorldTab(Feature):
         on_scene_click(desk.host, self._click)
 
     def add_rail(self) -> None:
-        """Make the rail in the current container."""
         self.rail = WorldRail(self._host, self.move_to)
 
     def add_commands(self, commands: Commands) -> None:
-        """Add the steps through the submaps to the palette."""
         for label, step in (("Next submap", 1), ("Previous submap", -1)):
             commands.add("Explore", label, partial(self._step, step))
 
@@ -234,7 +227,6 @@ class WorldTab(Feature):
         self.correct(self._target.correction, relax=True)
 
     def move_to(self, share: float) -> None:
-        """Move the map from before the pose graph (0) to after it (1)."""
         options = replace(self._target.options, poses="corrected")
         if self.graph is None:
             return
@@ -257,7 +249,6 @@ class WorldTab(Feature):
         self._want(options=replace(self._target.options, loops=loops, refused=refused))
 
     def select(self, name: str | None) -> None:
-        """Choose a submap to look at, or none."""
         self._want(selected=name)
         self._show_selected()
 
@@ -408,7 +399,6 @@ class WorldTab(Feature):
             time.sleep(0.01)
 
     def _settle(self) -> None:
-        """Merge the ground anew once the map rests."""
         if not self._mover.newer_waits:
             self._submit()
 
@@ -470,7 +460,6 @@ class WorldTab(Feature):
         return world
 
     def _quick_surfaces(self, job: _Drawing) -> dict[str, Terrain]:
-        """Make the smoothed grids, which stand in for maps that are not there yet."""
         submaps, params, memo = job.world.dataset.submaps, job.state.params.map, self._desk.memo
         count = len(submaps)
         counts = counts_as_it_grows(count) if job.world.grows else [count] * count
@@ -567,8 +556,9 @@ class WorldTab(Feature):
             self._figures.content = (
                 paragraph("Click a submap in the scene.", FAINT)
                 if name is None
-                else '<div data-testid="submap-figures" style="padding:.1em .75em .3em">'
-                f"<b>Submap {escape(name)}</b>{table(self._figures_of(name))}</div>"
+                else figures(
+                    "submap-figures", self._figures_of(name), f"<b>Submap {escape(name)}</b>"
+                )
             )
 
     def _figures_of(self, name: str) -> tuple[tuple[str, str], ...]:

@@ -50,7 +50,6 @@ class Timeline(Feature):
     """
 
     def __init__(self, desk: Desk, world: WorldTab, modes: ModeSwitch, opened: Opened) -> None:
-        """Add the script to the current container, hidden."""
         self._desk, self._world, self._modes = desk, world, modes
         self._lock = threading.RLock()
         self._state = desk.state
@@ -363,14 +362,12 @@ class Timeline(Feature):
 
     @property
     def _count(self) -> int:
-        """Number of moments that there will be."""
         if self._live is not None:
             return max(len(self.moments), 1)
         return len(self._state.dataset.submaps)
 
     @property
     def _dataset(self) -> Dataset:
-        """The submaps that there are."""
         if self._live is None:
             return self._state.dataset
         submaps = self._live.submaps

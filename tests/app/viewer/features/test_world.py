@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.features.world import merged as merged_module
-from app.viewer.features.world.draping import drape, lines_of
 from app.viewer.features.world.first_ground import FirstGround
-from app.viewer.features.world.merged import merge, pieces, world_scale
+from app.viewer.features.world.merged import drape, lines_of, merge, pieces, world_scale
 from app.viewer.features.world.model import Correction, World
 from app.viewer.features.world.scene import (
     LETTER,

@@ -1,4 +1,4 @@
-"""What a page says is merged until it is read, and pages act in turn."""
+"""How pages share the server: messages that are merged, and turns."""
 
 import asyncio
 import time
@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.server.turns import REST, CoalescingQueue, RoundRobin
+from app.viewer.server.limits import REST, CoalescingQueue, RoundRobin
 from tests.support.widgets import run_apart
 
 SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)), max_size=40)

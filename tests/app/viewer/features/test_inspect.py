@@ -10,11 +10,7 @@ import pytest
 import viser
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.inspect.panel import profile_svg, ruler_rows
-from app.viewer.features.inspect.tab import (
-    InspectTab,
-    match_figures,
-)
+from app.viewer.features.inspect import InspectTab, match_figures, profile_svg, ruler_rows
 from app.viewer.scene.probing import Profile, Ruler
 from app.viewer.session.news import PairShown
 from app.viewer.session.state import (

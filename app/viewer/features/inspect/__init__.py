@@ -1,1 +1,0 @@
-"""Inspect: the values of a place, the associations one by one, the pair from above."""
