@@ -10,6 +10,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import compare_footprints, make_footprint
+from gpgrad_core.former import former_parameter
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, Submap
 
@@ -51,6 +52,7 @@ def positions(names: Iterable[str], poses: Mapping[str, Pose]) -> Float[Array, "
     return np.array([poses[name].translation for name in names]).reshape(-1, 3)
 
 
+@former_parameter("found", "estimated")
 def trajectory_error(
     true: Mapping[str, Pose], estimated: Mapping[str, Pose], *, positions_only: bool = False
 ) -> TrajectoryError:

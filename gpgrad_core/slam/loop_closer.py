@@ -15,6 +15,7 @@ from typing_extensions import Unpack
 from gpgrad_core.detection import Pairs, PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates
 from gpgrad_core.errors import InputError
+from gpgrad_core.former import former_parameter
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
@@ -323,6 +324,7 @@ class LoopCloser:
         self._cache["result"] = len(self._submaps), whole
         return replace(self._last, places=pose_rows(whole.poses))
 
+    @former_parameter("solve")
     def add(
         self,
         submap: Submap,
