@@ -96,18 +96,12 @@ def _raise_again(dropped: "sys.UnraisableHookArgs") -> None:
 
 
 def stopped_by() -> KeyboardInterrupt | None:
-    """The signal that stopped the program, if one did.
-
-    Some libraries turn it into an error of their own, if it comes while they are loaded.
-    """
+    """The signal that stopped the program, if one did; some libraries make an error of it."""
     return _heard[0] if _heard else None
 
 
 def leave(code: int) -> None:
-    """Exit with a code; a signal that comes later ends the process without a word.
-
-    If nobody reads the output to its end, the code is `UNREAD`.
-    """
+    """Exit with a code, or `UNREAD`; a signal that comes later ends the process without a word."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:

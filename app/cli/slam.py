@@ -328,10 +328,7 @@ class Slam(Comparing):
         candidates: Candidates,
         store: Store | None,
     ) -> tuple[Sequence[LoopClosure], JoinedDatasets]:
-        """Detect the closures, and drop submaps that cannot be maps.
-
-        With a radius or a record, this goes submap by submap.
-        """
+        """Detect the closures, maybe submap by submap, and drop submaps that cannot be maps."""
         if self.search_radius is None and self.record is None:
             compared = compare(
                 joined.outline,

@@ -204,10 +204,7 @@ def working(what: str, num_jobs: int) -> Generator[tuple[Progress, Executor]]:
 
 @contextlib.contextmanager
 def progress_bar(what: str) -> Generator[Progress]:
-    """Draw a bar behind a word on a terminal, and nothing into a file or a pipe.
-
-    With ``--json`` it is sent as events, not too often, and never a fraction less than the last.
-    """
+    """Draw a bar on a terminal, nothing into a file or pipe; with ``--json``, send it as events."""
     if EVENTS.wanted:
         last, last_time = -1.0, -BETWEEN
 

@@ -22,8 +22,7 @@ from app.viewer.server.memory import (
     default_budget,
 )
 from app.viewer.session.jobs import Capacity
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run import Cancelled, Progress
@@ -95,7 +94,7 @@ class OpeningProgress:
 
     def _say(self, words: str, share: float) -> None:
         values = {"WORDS": f"{words} …", "SHARE": share, "LOW": self._ground is not None}
-        self._line.content = inline_script(fill_page_file("opening.js", **values))
+        self._line.content = page_script("opening.js", **values)
 
 
 class Viewer:
@@ -258,11 +257,7 @@ class Viewer:
             self._failure = error
 
     def _be_quiet(self) -> None:
-        """Let libraries work in one thread each, for as long as it serves.
-
-        A BLAS that has worked in several threads lets them spin for many milliseconds more, on the
-        processor that the helper needs.
-        """
+        """Let libraries work in one thread each: others spin on, on the helper's processor."""
         self._quiet.enter_context(single_threaded_libraries())
 
     def _begin(self) -> None:

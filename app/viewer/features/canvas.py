@@ -85,8 +85,7 @@ class Framing(Feature):
             else:
                 self._frame_if_new(state.view)
             if state.full_screen != before.full_screen:
-                for page in pages(self._desk.host).values():
-                    self._desk.canvases.show(page, "full", {"on": state.full_screen})
+                self._desk.canvases.show_all("full", {"on": state.full_screen})
             if (state.full_screen, state.left_away) != (before.full_screen, before.left_away):
                 self._refit_until = time.monotonic() + 1.5  # by then it has its new size
         self._say()

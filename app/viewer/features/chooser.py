@@ -17,8 +17,7 @@ from app.viewer.server.host import pages
 from app.viewer.session.jobs import Throttle
 from app.viewer.session.news import SessionState
 from app.viewer.session.state import Role, ViewState
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 from app.viewer.widgets.html import DATABASE_WORDS, QUERY_WORDS
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Submap
@@ -53,14 +52,14 @@ class Chooser(Feature):
         self._desk = desk
         self._sent: dict[str, object] = {}
         self._portraits: dict[str, str] = {}  # by fingerprint, as the pages keep them
-        script = fill_page_file(
+        script = page_script(
             "chooser.js",
             SIDES=[
                 ["query", "Query", css(QUERY), QUERY_WORDS],
                 ["database", "Database", css(DATABASE), DATABASE_WORDS],
             ],
         )
-        desk.host.gui.add_html(inline_script(script))
+        desk.host.gui.add_html(script)
         desk.bridge.on_message("pair", StripMsg, self._hear)
         desk.bridge.on_message("pair-search", SearchMsg, self._search)
         self._painter: Throttle[Submap] = Throttle(desk.jobs, self._paint, 0.0)
@@ -165,8 +164,7 @@ class Chooser(Feature):
             if len(self._portraits) >= MOST_PORTRAITS:
                 self._portraits.pop(next(iter(self._portraits)))
             self._portraits[name] = picture
-        for page in pages(self._desk.host).values():
-            self._desk.canvases.show(page, "portraits", {name: self._portraits[name]})
+        self._desk.canvases.show_all("portraits", {name: self._portraits[name]})
 
 
 def find_ids(state: ViewState, text: str) -> list[str]:

@@ -67,10 +67,7 @@ class Feature:
     """
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Called with each new state.
-
-        It is the same as before where all that is set is to be shown anew.
-        """
+        """Called with each new state; the same as before is to be shown anew."""
 
     def on_pair_result(self, news: PairNews) -> None:
         """Called when what is shown of the pair, or of the one submap, has changed."""
@@ -246,11 +243,7 @@ class Desk:
         self.update(lambda state: state)
 
     def deliver(self) -> None:
-        """Notify the features of all news so far; what they change themselves follows after that.
-
-        If another thread is notifying them, it is waited for: all features have received a
-        change when it returns.
-        """
+        """Notify the features of all news so far, or wait until another thread has done so."""
         me = threading.get_ident()
         with self._changed:
             if self._teller == me:
@@ -323,10 +316,7 @@ class Desk:
         self.update(changed)
 
     def release(self, params: PipelineParams) -> None:
-        """Set the parameters at which a slider was released.
-
-        A busy page reports it late: the state may have others by now.
-        """
+        """Set the parameters at which a slider was released; a busy page reports it late."""
         self.update(lambda now: replace(now, moving=False, released=params))
 
     def resolve(self, state: ViewState, used: PipelineParams) -> None:
@@ -347,11 +337,7 @@ class Desk:
         self.update(resolved)
 
     def choose(self, query_id: str | None = None, database_id: str | None = None) -> None:
-        """Change to a pair, or the submap of one role, that a page has chosen; see `with_pair`.
-
-        The page may still show another dataset than the one that was opened just now. Then the pair
-        stays as it is, and is shown again.
-        """
+        """Choose what a page has chosen; if it is of another dataset, nothing is changed."""
         try:
             self.change(pair=(query_id, database_id))
         except InputError:

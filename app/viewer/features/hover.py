@@ -1,7 +1,6 @@
 """What is under the cursor: read-out, crosshair in both submaps, a keypoint and its partner."""
 
 import threading
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -27,7 +26,7 @@ from app.viewer.scene.associations import (
 from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.scene.colors import CHOSEN, colorize, css
 from app.viewer.scene.probing import Ray, label_text, sample
-from app.viewer.server.host import pages
+from app.viewer.server.host import PerPage, pages
 from app.viewer.session.jobs import Throttle
 from app.viewer.session.news import SessionState
 from app.viewer.session.state import ROLES, Probe
@@ -71,14 +70,10 @@ class Hover(Feature):
         self._desk = desk
         self._pair = pair
         self._world, self._light = world, light
-        self._lit: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[str, ...]] = (
-            weakref.WeakKeyDictionary()
-        )
+        self._lit = PerPage[tuple[str, ...]]()
         self._lock = threading.Lock()
         # The newest of each page: where its cursor is, and where it clicked.
-        self._newest: weakref.WeakKeyDictionary[viser.ClientHandle, dict[str, CursorMsg]] = (
-            weakref.WeakKeyDictionary()
-        )
+        self._newest = PerPage[dict[str, CursorMsg]]()
         self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._serve, PAUSE)
         for name in ("cursor", "pin"):
             desk.bridge.on_message(name, CursorMsg, partial(self._take, name))

@@ -1,6 +1,5 @@
 """Links: the address of a page says what is shown, and opening it shows the same."""
 
-import weakref
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -10,13 +9,13 @@ from msgspec import Struct
 
 from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore
 from app.viewer.scene.cameras import view_of
-from app.viewer.server.host import Host, pages
+from app.viewer.server.host import Host, PerPage, pages
 from app.viewer.session.jobs import Throttle
 from app.viewer.session.news import Mode, SessionState
 from app.viewer.session.session_file import LONGEST, SavedSession, address_of, read_address
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import inline_script, page_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import paragraph
 from gpgrad_core.errors import InputError
@@ -30,8 +29,8 @@ ACTED = 10.0
 
 def add_script(host: Host) -> None:
     """Add the script of the addresses to the current container, which must not be a tab."""
-    script = fill_page_file("links.js", MOST_LETTERS=LONGEST + 1, ACTED_MS=1000 * ACTED)
-    host.gui.add_html(inline_script(script))
+    script = page_script("links.js", MOST_LETTERS=LONGEST + 1, ACTED_MS=1000 * ACTED)
+    host.gui.add_html(script)
 
 
 def link_html(*, has_link: bool) -> str:
@@ -88,9 +87,7 @@ class Links(Feature):
         self._restore = restore
         self._body = desk.host.gui.add_html(link_html(has_link=True))
         # Of each page the address that it was sent; None if it may have another one now.
-        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[str, str] | None] = (
-            weakref.WeakKeyDictionary()
-        )
+        self._arrived = PerPage[tuple[str, str] | None]()
         self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._publish, PAUSE)
         desk.bridge.on_message("arrived", Address, self._arrive)
         desk.bridge.on_message("asked", Address, self._take)

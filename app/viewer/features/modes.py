@@ -82,10 +82,7 @@ class Modes(Feature):
     # Requests.
 
     def go(self, mode: Mode) -> None:
-        """Set the mode; Demo keeps the scene.
-
-        Tune can choose any pair of a drive that goes on, with all that has come.
-        """
+        """Set the mode; Demo keeps the scene, and Tune has all submaps that came meanwhile."""
         subjects: dict[Mode, Subject] = {"Explore": "world", "Tune": "pair"}
         self._turn(lambda now: replace(now, mode=mode, subject=subjects.get(mode, now.subject)))
         if mode == "Tune":
@@ -94,10 +91,7 @@ class Modes(Feature):
     def tune(
         self, query_id: str, database_id: str, *, back_to: Mapping[int, Camera] | None = None
     ) -> None:
-        """Show a pair in the mode in which it is tuned.
-
-        Pages, by their numbers, return to the map where they are now, or to ``back_to``.
-        """
+        """Show a pair in Tune; pages, by number, return to the map as now, or to ``back_to``."""
         self._back_to = back_to or {}
         self._desk.choose(query_id, database_id)
         self.go("Tune")

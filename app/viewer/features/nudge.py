@@ -165,10 +165,7 @@ class NudgeTab(Feature):
         self._put(SE2(float(x), float(y), yaw), None, by_hand=True)
 
     def _put(self, motion: SE2, found: Registration | None, *, by_hand: bool) -> None:
-        """Move the query to where a motion has it, and report the result there.
-
-        There is none while the handles are dragged; else these follow the query.
-        """
+        """Move the query to a motion, and report the result there; none while it is dragged."""
         shown = self._shown
         if shown is None:
             return
@@ -178,7 +175,7 @@ class NudgeTab(Feature):
         with self._lock:
             self._motion = motion
             ratio = state.params.features.max_std_ratio
-            dz = height_offset(*result.maps, motion, ratio)
+            dz = height_offset(result.maps, motion, ratio)
             query = Box.of(state.query)
             boxes, times = (query, Box.of(state.database)), state.options.exaggeration
             places = place(*boxes, "registered", motion, dz, exaggeration=times)

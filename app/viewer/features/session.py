@@ -35,7 +35,7 @@ from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
 from app.viewer.widgets.commands import Commands
-from app.viewer.widgets.html import FAINT, Look, button, paragraph
+from app.viewer.widgets.html import FAINT, add_scripts, button, paragraph
 from gpgrad_core.run.memo import Memo
 
 
@@ -72,7 +72,7 @@ class Session:
         # The verdict and the parameters are on the right, what is drawn on the left.
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
-        Look(host)
+        add_scripts(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
 
@@ -133,10 +133,7 @@ class Session:
         return self.desk.state
 
     def show_presence(self, together: int, alone: int) -> None:
-        """Show how many pages there are: together in one session, or each alone.
-
-        A page changes between the two by its address, which keeps what it shows.
-        """
+        """Show how many pages there are; a page joins or leaves by its address."""
         count = together + alone
         if isinstance(self.desk.host, viser.ClientHandle):
             others = {1: "nobody else is", 2: "one more is"}.get(count, f"{count - 1} more are")

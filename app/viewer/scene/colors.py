@@ -196,6 +196,6 @@ def _light_of(colors: UInt8[NDArray[np.uint8], "*n 3"]) -> Float[NDArray[np.floa
     return np.clip(0.6 * curve @ np.linalg.inv(_ACES_IN).T, 0.0, 1.0)
 
 
-def legend_uri(bars: UInt8[NDArray[np.uint8], "bars 256 3"], *, height: int = 12) -> str:
+def legend_uri(bars: UInt8[NDArray[np.uint8], "bars 256 3"]) -> str:
     """Draw colours as bars one above the other, as a ``data:`` address of a PNG, low end left."""
-    return png_uri(bars.repeat(height // len(bars), axis=0))
+    return png_uri(bars.repeat(12 // len(bars), axis=0))

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from math import atan, cos, hypot, sin, tan
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,9 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.registration.align import DRIFTED
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import GradientMap, Registration, Submap
+
+Maps: TypeAlias = tuple[GradientMap, GradientMap]
+"""Of (query, database)."""
 
 GAP = 0.12
 """Room between submaps side by side, as a share of their width."""
@@ -56,6 +60,10 @@ class Placement:
     @property
     def position(self) -> tuple[float, float, float]:
         return self.x, self.y, self.z
+
+    def at(self, position: Float[Array, "3"]) -> "Placement":
+        x, y, z = position.tolist()
+        return replace(self, x=x, y=y, z=z)
 
     @property
     def wxyz(self) -> tuple[float, float, float, float]:
@@ -191,28 +199,21 @@ UNKNOWN_CANVAS = Canvas(720.0, 800.0)
 """Stands for that of a page that is yet to come."""
 
 
-def height_offset(
-    query_map: GradientMap,
-    database_map: GradientMap,
-    T_database_query: SE2,
-    max_std_ratio: float,
-) -> float:
+def height_offset(maps: Maps, T_database_query: SE2, max_std_ratio: float) -> float:
     """Measure how far the shared ground lies higher in the database than in the query [m].
 
     The registration is planar; each submap has its own zero of height. The median over the
     common trusted cells is not moved by a few wrong ones. Zero if nothing is shared.
     """
-    _, difference, _ = _common_heights(query_map, database_map, T_database_query, max_std_ratio)
+    _, difference, _ = _common_heights(maps, T_database_query, max_std_ratio)
     return float(np.median(difference)) if len(difference) else 0.0
 
 
 def _common_heights(
-    query_map: GradientMap,
-    database_map: GradientMap,
-    T_database_query: SE2,
-    max_std_ratio: float,
+    maps: Maps, T_database_query: SE2, max_std_ratio: float
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n"], float]:
     """Places in the query [m], the database's height above its own there, and their step."""
+    query_map, database_map = maps
     stride = max(1, int(np.sqrt(query_map.grid.num_cells / MAX_OVERLAP_SAMPLES)))
     trusted = query_map.trusted(max_std_ratio, stride).ravel()
     x, y = np.meshgrid(query_map.grid.x[::stride], query_map.grid.y[::stride])
@@ -240,7 +241,7 @@ def level_of(
     motion = registration.T_database_query
     if motion is None:
         return HeightFrame()
-    xy, difference, step = _common_heights(query_map, database_map, motion, max_std_ratio)
+    xy, difference, step = _common_heights((query_map, database_map), motion, max_std_ratio)
     if not len(difference):
         return HeightFrame(registration.z_offset, yaw=motion.yaw)
     middle = xy.mean(axis=0)
@@ -260,9 +261,7 @@ def level_of(
     return HeightFrame(height, (a, b), motion.yaw, (float(middle[0]), float(middle[1])))
 
 
-def z_offset_of(
-    registration: Registration, maps: tuple[GradientMap, GradientMap], max_std_ratio: float
-) -> float:
+def z_offset_of(registration: Registration, maps: Maps, max_std_ratio: float) -> float:
     """The height to add to the query so that it lies on the database [m]; 0 without a motion.
 
     The registration's own, where the alignment held; else, as where there is little in common,
@@ -272,7 +271,7 @@ def z_offset_of(
         return 0.0
     if registration.covariance is not None:
         return registration.z_offset
-    return height_offset(*maps, registration.T_database_query, max_std_ratio)
+    return height_offset(maps, registration.T_database_query, max_std_ratio)
 
 
 def place(
@@ -321,19 +320,13 @@ def place(
         at_query[2] += times * (query.center[2] + dz) + at_database[2]
     at_query[axis] += side * (widths[0] + gap) / 2
     at_database[axis] -= side * (widths[1] + gap) / 2
-    x, y, z = (float(value) for value in at_query)
-    x_database, y_database, z_database = (float(value) for value in at_database)
-    at = replace(still, x=x_database, y=y_database, z=z_database)
-    return replace(turned, x=x, y=y, z=z), at
+    return turned.at(at_query), still.at(at_database)
 
 
 def beside(
     other: Float[Array, "n 3"], here: Float[Array, "k 3"], behind: bool
 ) -> tuple[float, float]:
-    """The shift along (x, y) that moves corners ``other`` behind those ``here``, or left of them.
-
-    Both have room between them [m].
-    """
+    """The shift (x, y) that moves corners ``other`` behind those ``here``, or left, with room."""
     axis, side = (1, 1) if behind else (0, -1)
     ends = side * here[:, axis], side * other[:, axis]
     gap = BETWEEN * max(float(np.ptp(end)) for end in ends)
@@ -360,11 +353,9 @@ def glide(
     turned = Placement(yaw=yaw, tilt=tilt, exaggeration=to_query.exaggeration)
     middle = box.center[None]
     way = rest * from_query.apply(middle)[0] + share * to_query.apply(middle)[0]
-    x, y, z = (float(value) for value in way - turned.apply(middle)[0])
+    query = way - turned.apply(middle)[0] + np.array([0.0, 0.0, hop])
     database = rest * np.array(from_database.position) + share * np.array(to_database.position)
-    x_database, y_database, z_database = (float(value) for value in database)
-    at = replace(to_database, x=x_database, y=y_database, z=z_database)
-    return replace(turned, x=x, y=y, z=z + hop), at
+    return turned.at(query), to_database.at(database)
 
 
 def frame_camera(
@@ -417,10 +408,7 @@ def frame_camera(
 def axes_of_view(
     forward: Float[Array, "3"],
 ) -> tuple[Float[Array, "3"], Float[Array, "3"], Float[Array, "3"]]:
-    """The unit vectors (forward, right, up) of a camera that is held upright.
-
-    The direction of sight has any length but zero. Straight down, +y is up.
-    """
+    """The unit vectors (forward, right, up) of an upright camera; straight down, +y is up."""
     f = forward / np.linalg.norm(forward)
     level = np.cross(f, [0.0, 0.0, 1.0])
     length = float(np.linalg.norm(level))

@@ -167,10 +167,7 @@ def read_both(
     T_database_query: SE2 | None,
     max_std_ratio: float,
 ) -> tuple[Reading | None, Reading | None]:
-    """Read a place in (query, database) under the motion.
-
-    None stands for what is not read: without a place, without a motion, beyond the rim.
-    """
+    """Read a place in (query, database) under the motion; None where it cannot be read."""
     places = {} if probe is None else places_of(probe, T_database_query)
     query, database = (
         read(a_map, float(places[role][0]), float(places[role][1]), max_std_ratio)

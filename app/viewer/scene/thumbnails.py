@@ -19,10 +19,7 @@ PORTRAIT = 40
 
 
 def portrait(submap: Submap) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
-    """Draw a submap in the colours of the gradient over shaded relief, on a light, smoothed grid.
-
-    An InputError says that there is no such grid.
-    """
+    """Draw a submap in the colours of the gradient over relief; an InputError without a grid."""
     side = float(np.ptp(submap.corners, axis=0).max())
     resolution = min(max(side / PORTRAIT, 0.005), 10.0)  # [m]; those of a map lie between these
     length_scale = min(max(2.5 * resolution, LENGTH_SCALE.low), LENGTH_SCALE.high)

@@ -217,10 +217,7 @@ class AccessControl:
             send_to(client, messages.GuiUpdateMessage(state.uuid, {"value": state.value}))
 
     def _offers(self, page: int, widget: Any) -> bool:
-        """Whether a page shows a widget, with all that it lies in, and lets it be used.
-
-        Tabs that are not open and drawers that are folded count as shown: only the page knows.
-        """
+        """Whether a page shows a usable widget; what it may have folded counts as shown."""
         containers = ChainMap(*map(containers_of, self._hosts(page)))
         offered = not getattr(widget, "disabled", True)  # a bar of progress only shows
         inner, around = widget, ""
@@ -328,10 +325,7 @@ class Connection(ServerConnection):
 def open_server(
     host: str, port: int, admission: Admission | None = None, limits: Limits | None = None
 ) -> tuple[viser.ViserServer, AccessControl]:
-    """Start viser's server with access control, on a port or the next free one; 0 takes any.
-
-    If this release of viser serves in another way than is controlled, nothing is served.
-    """
+    """Start viser's server with access control, or not at all; on the next free port if need be."""
     access = AccessControl((admission or Admission()).at(host), limits or Limits())
     # viser prints a box with its addresses; the command line says ours.
     with contextlib.redirect_stdout(io.StringIO()), _wrapped(access):

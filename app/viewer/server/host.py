@@ -6,7 +6,8 @@ else needs to know which of the two it is drawing on.
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
+from weakref import WeakKeyDictionary
 
 import viser
 
@@ -19,6 +20,11 @@ ALONE = "/alone"
 """Path of the pages that work alone."""
 
 Host: TypeAlias = viser.ViserServer | viser.ClientHandle
+V = TypeVar("V")
+
+
+class PerPage(WeakKeyDictionary[viser.ClientHandle, V]):
+    """What is known of each page, for as long as it is there."""
 
 
 def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
@@ -43,10 +49,7 @@ def on_scene_click(
     act: Callable[[viser.SceneClickEvent], None],
     modifier: Any = None,
 ) -> None:
-    """Call something whenever a page that shows what the host shows clicks into the scene.
-
-    viser tells a server of the clicks of all pages.
-    """
+    """Call something when a page of the host clicks into the scene; viser tells of all pages'."""
 
     @host.scene.on_click(modifier=modifier)
     def _(event: viser.SceneClickEvent) -> None:
@@ -65,10 +68,7 @@ def start_task(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:
-    """Act as a widget does when a user acts on it; viser's kinds have no common class.
-
-    A value of None leaves a button as it is.
-    """
+    """Act as a widget does when a user acts on it; None leaves the value of a button as it is."""
     state = state_of(handle)
     if value is not None:
         state.value = value

@@ -80,10 +80,7 @@ class RefusedValue(Exception):
 
 
 def read_message(frame: object) -> dict[str, Any] | None:
-    """Decode a frame; None for what no page says, or not so: it is not to be acted on.
-
-    The fields of a message are what viser's class of that name says, and of a sane size.
-    """
+    """Decode a frame; None for what is no message with the fields of viser's class of its name."""
     try:
         message = msgspec.msgpack.decode(cast("bytes", frame))
         msgspec.convert(message, _KINDS[message["type"]], builtin_types=(bytes,))

@@ -106,10 +106,7 @@ class RoundRobin:
         self._lock = asyncio.Lock()
 
     async def wait(self) -> None:
-        """Wait for a turn. It is for what is done before the next `await`, and the tasks of that.
-
-        It ends by itself, when these have run as far as they go at once.
-        """
+        """Wait for a turn, which ends with the tasks that are begun before the next `await`."""
         await self._lock.acquire()
         loop, since = asyncio.get_running_loop(), time.perf_counter()
 

@@ -338,10 +338,7 @@ def _nothing(*_: object) -> None: ...
 
 
 class Throttle(Lane[None, None], Generic[Key]):
-    """Acts for each requested key, and then pauses.
-
-    A request during the pause is served after it, once, so the last one is always fulfilled.
-    """
+    """Acts for each requested key, then pauses; what is requested meanwhile comes after that."""
 
     def __init__(self, jobs: Jobs, act: Callable[[Key], None], pause: float) -> None:
         """Begin at rest; it pauses after each round [s], and an error in an act is logged."""

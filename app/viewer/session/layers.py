@@ -122,10 +122,7 @@ def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Arra
 
 
 def resample(values: Values, grid: Grid, onto: Grid, T_grid_onto: SE2) -> Values:
-    """Interpolate a field at the cells of another grid, whose frame is moved.
-
-    Next to a cell that is NaN, and beyond the rim of its own grid, it becomes NaN.
-    """
+    """Interpolate a field at the cells of a grid whose frame is moved; NaN beside NaN or beyond."""
     rows, columns = onto.shape
     moved = cv2.warpAffine(
         values,

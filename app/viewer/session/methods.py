@@ -83,17 +83,6 @@ def register_pair(
     return METHODS[method].register(query, database, params, memo, progress, helper)
 
 
-def map_params(
-    submap: Submap,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress = silent,
-    method: MethodName = "gradient",
-) -> PipelineParams:
-    """The parameters with which a method computes the map of one submap."""
-    return METHODS[method].of_submap(submap, params, memo, progress)
-
-
 def _register_paper(
     query: Submap,
     database: Submap,

@@ -375,10 +375,7 @@ def detect_command(state: ViewState, *, alone: bool = True) -> str:
 
 
 def page_commands(state: ViewState, *, decided: bool = False) -> list[str]:
-    """Write the commands that make the page of the whole dataset; none if it has no path.
-
-    What a person decided is in the file that *Export closures* saves, and no command finds it.
-    """
+    """Write the commands that make the page of the dataset, but for closures that are exported."""
     if not state.source:
         return []
     has_truth = len(state.dataset.true_poses) >= 2

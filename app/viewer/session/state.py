@@ -98,10 +98,7 @@ class Widget:
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """What is drawn and how; none of it changes what is computed.
-
-    Each field is a widget of the tab View, in this order.
-    """
+    """What is drawn and how; each field is a widget of the tab View, in this order."""
 
     layout: Annotated[
         Layout,
@@ -381,11 +378,7 @@ def open_dataset(
     source: str = "",
     used: PipelineParams | None = None,
 ) -> ViewState:
-    """Start on a dataset, at the pair most worth looking at.
-
-    The parameters are as requested; ``used`` is what `resolve_parameters` returned for them, if it
-    was called already.
-    """
+    """Start at the pair most worth looking at; ``used`` are the parameters resolved, if known."""
     state = ViewState(
         dataset, *promising_pair(dataset), options=options or ViewOptions(), source=source
     )
@@ -439,10 +432,7 @@ def with_method(state: ViewState, name: MethodName) -> ViewState:
 
 
 def with_params(state: ViewState, params: PipelineParams) -> ViewState:
-    """Set the pipeline's parameters as a person, a file or a link gives them.
-
-    What is automatic keeps its number, until a fit gives another (`with_fitted`).
-    """
+    """Set parameters as a person gives them; what is automatic keeps its number until a fit."""
     if is_resolved(params):
         return replace(state, params=params, asked=params, resolved=True)
     return replace(
@@ -510,10 +500,7 @@ def same_surfaces(first: ViewState, second: ViewState) -> bool:
 
 
 def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
-    """The submap ``step`` places further, by ID; after the last comes the first.
-
-    One may be passed over, so that a pair is not one submap twice.
-    """
+    """The submap so many places further by ID, round the end; one may be passed over."""
     ids = [submap.id for submap in dataset.submaps]
     place = ids.index(submap_id)
     for _ in ids:

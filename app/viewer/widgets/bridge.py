@@ -126,7 +126,7 @@ class Bridge:
 
     def _hidden_script(self) -> str:
         box = state_of(self._box).uuid
-        script = inline_script(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
+        script = page_script("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS)
         style = fill_page_file("bridge.css", BOX=box)
         return (
             f'<style>{style}</style><div data-testid="bridge" style="display:none">{script}</div>'
@@ -134,10 +134,7 @@ class Bridge:
 
 
 def _written(name: str, *numbered: object) -> str:
-    """Write data as HTML that the bridge's script reads, with a number.
-
-    The number makes the same data another text; the page would ignore the same text.
-    """
+    """Write data for the bridge's script; by its number, the same data is another text."""
     return f'<i data-told="{name}">{escape(json.dumps(numbered))}</i>'
 
 
@@ -153,6 +150,11 @@ def inline_script(script: str) -> str:
     """Write HTML that runs JavaScript when it is put into a page; values come from `json.dumps`."""
     # A picture that cannot be loaded runs its handler.
     return f'<img alt="" src="data:," style="display:none" onerror="{escape(script)}">'
+
+
+def page_script(name: str, **values: object) -> str:
+    """Write HTML that runs a script of ours, filled with values; see `fill_page_file`."""
+    return inline_script(fill_page_file(name, **values))
 
 
 def send(name: str, /, **data: Value) -> str:

@@ -4,9 +4,8 @@ The page watches its canvas and says what becomes of it. What is written over th
 clicks through. It hangs on the page's body, because panels that hold it could be put away.
 """
 
-import weakref
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -16,10 +15,10 @@ from msgspec import Meta, Struct
 from app.viewer.scene.cameras import set_view, view_of
 from app.viewer.scene.layers import Scale
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
-from app.viewer.server.host import Host
+from app.viewer.server.host import Host, PerPage, pages
 from app.viewer.session.state import Camera
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, inline_script
+from app.viewer.widgets.bridge import Bridge, page_script
 
 OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 
@@ -44,23 +43,20 @@ class CanvasMsg(Struct):
     dark: bool = True  # whether the page is dark
 
 
+@dataclass
+class _Page:
+    canvas: Canvas | None = None  # None until the page reports it
+    below: float = 0.0  # see `CanvasMsg`
+    dark: bool = True
+    brought: tuple[Camera, ...] = ()  # the last views that its camera was moved to
+
+
 class Canvases:
     """The state of the pages' canvases, and where their cameras were moved."""
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
         self._bridge = bridge
-        self._canvases: weakref.WeakKeyDictionary[viser.ClientHandle, Canvas] = (
-            weakref.WeakKeyDictionary()
-        )
-        self._dark: weakref.WeakKeyDictionary[viser.ClientHandle, bool] = (
-            weakref.WeakKeyDictionary()
-        )
-        self._below: weakref.WeakKeyDictionary[viser.ClientHandle, float] = (
-            weakref.WeakKeyDictionary()
-        )
-        self._brought: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[Camera, ...]] = (
-            weakref.WeakKeyDictionary()
-        )
+        self._host, self._pages = host, PerPage[_Page]()
         self._listeners: list[OnCanvas] = []
         self.caption: dict[str, str] = {}  # written over all of them
         # what the colours mean in each subject of the scene; None if nothing is coloured
@@ -70,7 +66,7 @@ class Canvases:
         self.presents = False  # whether words of a demonstration stand in a band at the foot
         style = fill_page_file("lower_third.css")
         for script in ("canvas.js", "swipe.js", "story.js"):
-            host.gui.add_html(inline_script(fill_page_file(script, LOWER_THIRD=style)))
+            host.gui.add_html(page_script(script, LOWER_THIRD=style))
         bridge.on_message("canvas", CanvasMsg, self._take)
 
     def tell(self, act: OnCanvas) -> None:
@@ -79,17 +75,17 @@ class Canvases:
 
     def of(self, page: viser.ClientHandle) -> Canvas:
         """The canvas of a page, or a usual one until the page reports its own."""
-        canvas = self._canvases.get(page, UNKNOWN_CANVAS)
+        canvas = self._of(page).canvas or UNKNOWN_CANVAS
         if not self.presents:
             return canvas
         # Without its panels a page says nothing: how high the words are follows from story.js.
         return replace(canvas, bottom=BAND * min(canvas.width, canvas.height))
 
     def knows(self, page: viser.ClientHandle) -> bool:
-        return page in self._canvases
+        return self._of(page).canvas is not None
 
     def is_dark(self, page: viser.ClientHandle) -> bool:
-        return self._dark.get(page, True)
+        return self._of(page).dark
 
     def bring(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Move a page's camera to a view of all that is shown, from which it may be refitted."""
@@ -99,18 +95,21 @@ class Canvases:
     def expect(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Store a view of all that is shown to which something else moves a page's camera."""
         # A page may report one of the last four views late.
-        self._brought[page] = (camera, *self._brought.get(page, ()))[:4]
+        known = self._of(page)
+        known.brought = (camera, *known.brought)[:4]
 
     def is_by_hand(self, page: viser.ClientHandle) -> bool:
-        brought = self._brought.get(page)
-        if not brought:
-            return False
-        now = view_of(page)
-        return all(not _is_near(now, camera) for camera in brought)
+        brought = self._of(page).brought
+        return bool(brought) and not any(_is_near(view_of(page), camera) for camera in brought)
 
     def show(self, page: viser.ClientHandle, act: str, data: object) -> None:
         """Write something over a page's canvas: ``caption``, ``full``, ``marks`` and so on."""
         self._bridge.call(page, act, data)
+
+    def show_all(self, act: str, data: object) -> None:
+        """Do the same on all pages."""
+        for page in pages(self._host).values():
+            self.show(page, act, data)
 
     def measure(self, page: viser.ClientHandle) -> None:
         """Set a page's new shape from its camera: with its panels hidden, it reports nothing else.
@@ -118,26 +117,28 @@ class Canvases:
         The camera counts other pixels than the page, so that only the shape is certain. The legend
         stays as high as it was.
         """
-        canvas = self._canvases.get(page)
+        canvas, below = self._of(page).canvas, self._of(page).below
         aspect = page.camera.aspect
         if canvas is None or abs(aspect / canvas.aspect - 1.0) < 0.02:  # pixels are whole
             return
-        below = self._below.get(page, 0.0)
         self._set(page, Canvas(canvas.height * aspect, canvas.height, bottom=below))
 
     def _take(self, page: viser.ClientHandle, said: CanvasMsg) -> None:
-        self._dark[page] = said.dark
+        self._of(page).dark = said.dark
         bottom = said.bottom + said.below
         canvas = Canvas(said.width, said.height, said.left, said.top, said.right, bottom)
         across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top
         if across >= 1.0 and along - canvas.bottom >= 1.0:
-            self._below[page] = said.below
+            self._of(page).below = said.below
             self._set(page, canvas)
 
     def _set(self, page: viser.ClientHandle, canvas: Canvas) -> None:
-        self._canvases[page] = canvas
+        self._of(page).canvas = canvas
         for act in self._listeners:
             act(page)
+
+    def _of(self, page: viser.ClientHandle) -> _Page:
+        return self._pages.setdefault(page, _Page())
 
 
 def _is_near(first: Camera, second: Camera) -> bool:

@@ -5,15 +5,13 @@ from dataclasses import dataclass
 from functools import partial
 from html import escape
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import viser
 
-from app.viewer.server.host import Host, act_on, start_task
+from app.viewer.server.host import Host, PerPage, act_on, start_task
 from app.viewer.server.internals import inputs_of
-from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
 """With these the browser flies the camera; a command on one of them would do both."""
@@ -123,7 +121,7 @@ def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle
     start_task(act_on(handle, option, page))
 
 
-_close_help: WeakKeyDictionary[viser.ClientHandle, Callable[[], None]] = WeakKeyDictionary()
+_close_help = PerPage[Callable[[], None]]()
 
 
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
@@ -134,7 +132,7 @@ def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None
     modal = client.gui.add_modal("Keys and commands")
     _close_help[client] = modal.close
     with modal:
-        client.gui.add_html(help_html(commands) + inline_script(fill_page_file("help.js")))
+        client.gui.add_html(help_html(commands) + page_script("help.js"))
         close = client.gui.add_button("Close")
     on_press(close, lambda: show_help(client, commands))  # which closes it
 

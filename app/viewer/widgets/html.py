@@ -15,7 +15,7 @@ import viser
 from app.viewer.server.host import Host
 from app.viewer.server.internals import state_of
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import inline_script, page_script
 
 # The names of the palette (palette.css). Words in these are readable on a light and a dark page.
 GOOD, BAD, BUSY = "var(--gg-good)", "var(--gg-bad)", "var(--gg-warn)"
@@ -87,16 +87,10 @@ def box(test_id: str, content: str, style: str = "") -> str:
     )
 
 
-class Look:
-    """What the widgets of a session's pages lack; their style sheet comes with the page."""
-
-    def __init__(self, host: Host) -> None:
-        host.gui.add_html(
-            "".join(
-                inline_script(fill_page_file(f"{name}.js"))
-                for name in ("tooltips", "reach", "connection", "folders")
-            )
-        )
+def add_scripts(host: Host) -> None:
+    """Add what the widgets of a session's pages lack; their style sheet comes with the page."""
+    names = "tooltips", "reach", "connection", "folders"
+    host.gui.add_html("".join(page_script(f"{name}.js") for name in names))
 
 
 def uuid_of(
@@ -116,10 +110,7 @@ def make_solid(host: Host, button: viser.GuiButtonHandle) -> None:
 
 
 def segment_style(buttons: viser.GuiButtonGroupHandle, chosen: int) -> str:
-    """Write the style that turns a group of buttons into one control, without its label.
-
-    One of them, counted from 0, is filled.
-    """
+    """Write the style that turns a group of buttons into one control; one, from 0, is filled."""
     style = fill_page_file("segments.css", UUID=uuid_of(buttons), CHOSEN=chosen + 1, SOLID=SOLID)
     return f"<style>{style}</style>"
 

@@ -15,10 +15,7 @@ WIDTH, HEIGHT = 100.0, 34.0
 
 
 def legend_html(scale: Scale | None, *, histogram: str = "", note: str = "") -> str:
-    """Write the legend: name and unit, histogram, bar, values at its ends and middle, note.
-
-    It is empty where nothing is coloured.
-    """
+    """Write name and unit, histogram, bar, values at its ends and middle, note; empty for None."""
     if scale is None:
         return ""
     low, high = scale.low, scale.high
@@ -77,10 +74,7 @@ def mark_svg(kind: Kind, inliers: Rgb) -> str:
 
 
 def canvas_legend(scale: Scale | None, note: str, width: str = "21.7em") -> str:
-    """Write the colour bar that stands on the canvas: name, unit and ticks; and a note below it.
-
-    The width of the bar is CSS; by default it grows with the letters.
-    """
+    """Write the colour bar on the canvas, of a width in CSS: name, unit and ticks, and a note."""
     if scale is None:
         return ""
     span = max(scale.high - scale.low, 1e-9)

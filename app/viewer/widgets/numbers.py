@@ -25,7 +25,7 @@ from msgspec import Struct
 
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, inline_script
+from app.viewer.widgets.bridge import Bridge, inline_script, page_script
 from app.viewer.widgets.html import uuid_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import DIGITS, Bounds
@@ -103,9 +103,9 @@ class Numbers:
         self._bridge = bridge
         self._boxes: dict[str, _Box] = {}
         self._decades: dict[str, bool] = {}  # sliders over decades: whether their numbers are whole
-        script = fill_page_file("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES, DIGITS=DIGITS)
+        script = page_script("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES, DIGITS=DIGITS)
         style = f"<style>{fill_page_file('numbers.css')}</style>"
-        host.gui.add_html(style + inline_script(script))
+        host.gui.add_html(style + script)
         self._sent = host.gui.add_html("")
         bridge.on_message("typed", Typed, self._hear_typed)
         bridge.on_message("rested", Rested, self._hear_rested)

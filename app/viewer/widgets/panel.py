@@ -129,10 +129,7 @@ class Panel(Generic[P]):
         return uuid_of(self._rows[path].handle)
 
     def with_moved(self, value: P, widget: str, number: float) -> P:
-        """Copy another value with the number at which a slider of this panel stands.
-
-        The slider of another panel changes nothing. A number that is refused is an InputError.
-        """
+        """Copy another value with the number of one of our sliders, which may be an InputError."""
         for path, row in self._rows.items():
             if uuid_of(row.handle) == widget:
                 return with_path(value, path, _rounded(row.field, number))
@@ -142,10 +139,7 @@ class Panel(Generic[P]):
         return self._widgets.get(field.path) or Widget(folded="." in field.path)
 
     def _add_group(self, title: str, fields: list[Field]) -> None:
-        """Add a folder for a group; of what stands above, it has the box "automatic" only.
-
-        What belongs to no group has no title, and no folder of its own.
-        """
+        """Add a folder for a group, if it has a title; what stands above has only its box there."""
         with self._host.gui.add_folder(title) if title else nullcontext():
             for field in fields:
                 row = self._rows.get(field.path)
@@ -247,11 +241,7 @@ class Panel(Generic[P]):
         self._on_change(value)
 
     def _show(self, held: Collection[_Row] = (), *, write: bool = False) -> None:
-        """Show what there is; viser sends a page only what differs.
-
-        Some rows may be under a hand: the ranges of these grow, but do not shrink. No value is
-        written there, and elsewhere only with ``write``.
-        """
+        """Show what there is; rows under a hand keep their value, and their ranges only grow."""
         implied = self._implied(self.value)
         for path, row in self._rows.items():
             number = get_path(self.used, path)

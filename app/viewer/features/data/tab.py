@@ -34,9 +34,8 @@ from app.viewer.features.data.unpacking import (
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import CANCELLED, Work
 from app.viewer.session.session_file import Opened, SavedSession
-from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option, on_press, on_upload
-from app.viewer.widgets.bridge import Whole, inline_script
+from app.viewer.widgets.bridge import Whole, page_script
 from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams, resolve_parameters
@@ -166,7 +165,7 @@ class DataTab(Feature):
         gui, bridge = self._desk.host.gui, self._desk.bridge
         with bridge.folder:
             button = gui.add_upload_button("drop")
-            script = fill_page_file(
+            script = page_script(
                 "drop.js",
                 BUTTON=uuid_of(button),
                 KNOWN=sorted(KNOWN),
@@ -174,7 +173,7 @@ class DataTab(Feature):
                 MOST_FILES=MOST_FILES,
                 MOST_BYTES=self._permissions.max_upload,
             )
-            gui.add_html(inline_script(script))
+            gui.add_html(script)
         on_upload(button, self._upload)
         bridge.on_message("not dropped", NotDropped, self._refuse_drop)
 

@@ -20,7 +20,7 @@ from app.viewer.scene.cameras import set_start, set_view
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.layers import COMPARED, LAYERS
-from app.viewer.session.methods import METHODS, map_params, register_pair
+from app.viewer.session.methods import METHODS, register_pair
 from app.viewer.session.news import (
     AllPairs,
     PairMoved,
@@ -42,8 +42,7 @@ from app.viewer.session.state import (
     same_search,
     same_surfaces,
 )
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
 from gpgrad_core.detection import PairResult, infer_map, judge_pair
@@ -132,7 +131,7 @@ class PairTab(Feature):
                 self._choose_options,
                 desk.numbers,
             )
-            host.gui.add_html(inline_script(fill_page_file("histogram.js")))
+            host.gui.add_html(page_script("histogram.js"))
         desk.bridge.on_message("cells", CellsMsg, lambda _, at: self._view.pick(at.low, at.high))
         desk.bridge.on_message("swipe", SwipeMsg, self._swipe)
         self._verdict.decide(desk.now.decisions)
@@ -223,7 +222,7 @@ class PairTab(Feature):
         # Until they are fitted, the numbers of before stand in.
         submaps = state.pair if state.is_pair else (state.query,)
         params = [
-            map_params(submap, state.given, memo, told, state.method).map
+            METHODS[state.method].of_submap(submap, state.given, memo, told).map
             if state.resolved
             else state.params.map
             for submap in submaps
@@ -272,7 +271,9 @@ class PairTab(Feature):
     def _picture_of(self, state: ViewState, progress: Progress) -> Picture:
         told = self._status.reported(progress)
         if not state.is_pair:
-            params = map_params(state.query, state.given, self._status.memo, told, state.method)
+            params = METHODS[state.method].of_submap(
+                state.query, state.given, self._status.memo, told
+            )
             alone = infer_map(state.query, params, self._status.memo, told)
             self._painted = state
             with self._status.drawing():

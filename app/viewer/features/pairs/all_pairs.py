@@ -215,10 +215,7 @@ class AllPairsTab(Feature):
         self._comparer.cancel()
 
     def detection(self, state: ViewState) -> Detect:
-        """What detects a state's closures among the candidates of the panel.
-
-        What was compared of them already is not compared again.
-        """
+        """What detects a state's closures; what was compared already is not compared again."""
         run = self._run_of(state)
         with self._lock:
             for runs in (self._begun, self._ended):
@@ -481,10 +478,7 @@ def _curve_caption(judged: JudgedPairs, check: TruthCheck) -> str:
 
 
 def run_html(run: PairsRun) -> str:
-    """Write the parameters of a run, which open on a click: what moves later is not part of it.
-
-    Thresholds are left out, because pairs are judged by the present ones.
-    """
+    """Write the parameters of a run, which open on a click; not the thresholds, which may move."""
     method, given = METHODS[run.state.method], run.state.given
     registers = method.registered_by(given).closure != ClosureParams()
     listed = [
@@ -513,10 +507,7 @@ def _folded(title: str, text: str) -> str:
 
 
 def _shortlist_html(judged: JudgedPairs, query: str, database: str) -> str:
-    """Write the shortlist of a query as a table that opens on a click: why a pair was looked at.
-
-    The best come first; it is empty if the query was compared with all earlier submaps.
-    """
+    """Write why a pair was looked at, the best candidates first; empty if all were."""
     shortlist: tuple[Candidate, ...] = judged.verdicts.found.shortlists.get(query, ())
     if not shortlist:
         return ""

@@ -15,13 +15,12 @@ from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
 from app.viewer.session.jobs import Lane
-from app.viewer.session.methods import map_params, register_pair
+from app.viewer.session.methods import METHODS, register_pair
 from app.viewer.session.news import AllPairs, PairNews, PairShown, SessionState
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
-from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.bridge import PairMsg, Whole, inline_script, send
+from app.viewer.widgets.bridge import PairMsg, Whole, page_script, send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
 from gpgrad_core.detection import infer_features
@@ -51,17 +50,14 @@ class BestPairNote:
     def say(
         self, text: str, choices: tuple[tuple[str, str, str], ...] = (), *, watch: int | None = None
     ) -> None:
-        """Show a text, with buttons below it: label, query and database that each shows.
-
-        ``watch`` is a number to send when somebody acts on the page; None watches nothing.
-        """
+        """Show a text above buttons (label, query, database); an act on a page sends ``watch``."""
         buttons = [
             button(label, send("show-pair", query=query, database=database), APART)
             for label, query, database in choices
         ]
         script = ""
         if watch is not None:
-            script = inline_script(fill_page_file("best_pair.js", NUMBER=watch))
+            script = page_script("best_pair.js", NUMBER=watch)
         else:
             buttons.append(button("Close", send("close-note"), APART))
         self._handle.content = (
@@ -102,10 +98,7 @@ class TouchedMsg(msgspec.Struct):
 
 
 class BestPair(Feature):
-    """Scores the likeliest pairs once a dataset has opened on none, and shows the best.
-
-    It works in one thread beside whatever else runs, and stops as soon as anybody acts.
-    """
+    """Scores the likeliest pairs of a dataset that opened on none, until anybody acts."""
 
     def __init__(self, desk: Desk, opened: Opened, commands: Commands, modes: ModeSwitch) -> None:
         self._modes = modes
@@ -261,7 +254,7 @@ class BestPair(Feature):
             def extract(submap: Submap) -> Features:
                 self._tell(job, f"No poses are known: the keypoints of {submap.id} are compared …")
                 memo = self._desk.memo
-                params = map_params(submap, state.given, memo, told, state.method)
+                params = METHODS[state.method].of_submap(submap, state.given, memo, told)
                 return infer_features(submap, params, memo, told)
 
             pairs = voted_pairs(state.dataset, MOST_PAIRS + 1, extract, told)

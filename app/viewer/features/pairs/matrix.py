@@ -20,8 +20,7 @@ from app.viewer.session.decisions import (
     WRONG_MOTION,
 )
 from app.viewer.session.layers import ColorMap
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 from app.viewer.widgets.html import FAINT
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import score_in_words
@@ -111,10 +110,7 @@ def gather_all(judged: JudgedPairs, most: int = MOST_GROUPS) -> PairCells:
 
 
 def gather_block(judged: JudgedPairs, whole: PairCells, pair: tuple[str, str]) -> PairCells | None:
-    """Show the pairs one by one of the block that has a pair, the later submap first.
-
-    None where every cell of the whole is a single pair, or where the pair is of another dataset.
-    """
+    """Show the pairs of the block that has a pair, one by one; None if cells are no blocks."""
     place = whole.place(*pair)
     if place is None or not whole.has_blocks:
         return None
@@ -197,7 +193,7 @@ def matrix_html(
         f'<rect data-spot="" visibility="hidden" width="{side:.2f}" height="{side:.2f}" '
         f'fill="none" stroke="#fff" stroke-width="1.5" pointer-events="none"/>{names}</svg>'
         f"{hover_line(point, f'matrix-said-{name}')}</div>"
-        f"{inline_script(fill_page_file('matrix.js'))}"
+        f"{page_script('matrix.js')}"
     )
 
 
@@ -215,10 +211,7 @@ def score_shares(
 def cell_pixels(
     pairs: PairCells, high: float, threshold: float = 0.0
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
-    """Colour every cell: scores in viridis from 0, overlaps in greys from 0 (dark) to 1.
-
-    Cells without a value stay transparent.
-    """
+    """Colour every cell: scores in viridis, overlaps in greys from 0 (dark); others stay clear."""
     scores = np.full(pairs.overlaps.shape, np.nan)
     for at, cell in pairs.cells.items():
         scores[at] = cell.score

@@ -25,10 +25,7 @@ class PairList:
         hint: str,
         on_choose: Callable[[PairOfIds | None], None],
     ) -> None:
-        """Add the widgets to the current container; the first entry of the list is ``none``.
-
-        ``on_choose`` receives the (query, database) that a user chose or stepped to, or None.
-        """
+        """Add the widgets; the first entry, ``none``, chooses None in place of a pair."""
         self._none = none
         self._on_choose = on_choose
         self._pairs: dict[str, PairOfIds] = {}

@@ -20,8 +20,7 @@ from app.viewer.features.pairs.matrix import (
 )
 from app.viewer.features.pairs.model import APART, TRUE, UNKNOWN, JudgedPairs, TruthCheck
 from app.viewer.session.decisions import MISSED, NO_OVERLAP, WRONG_MOTION
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import score_in_words
@@ -69,10 +68,7 @@ def count_scores(judged: JudgedPairs) -> ScoreHistogram:
 
 
 def scores_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
-    """Draw the histogram, with the curve below where there is a truth.
-
-    It does not depend on the threshold: `threshold_html` moves that.
-    """
+    """Draw the histogram, above the curve if there is a truth; `threshold_html` moves the line."""
     if not judged.closures:
         return ""
     bounds, left = bounds_of(ClosureParams)["min_score"], SHARES.start
@@ -104,13 +100,13 @@ def scores_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
         f'<path d="M0 10V{axis:g}" stroke="{THRESHOLD_COLOR}" stroke-width="2"/>'
         f'<path d="M-5 {axis + 1:g}h10l-5 -7z" fill="{THRESHOLD_COLOR}"/>'
         f'<text data-number="" x="5" y="9" font-weight="600"></text></g>{dot if points else ""}'
-        f"</svg></div>{inline_script(fill_page_file('scores.js'))}"
+        f"</svg></div>{page_script('scores.js')}"
     )
 
 
 def threshold_html(value: float) -> str:
     """Move the threshold of every page to a score, unless a hand holds it there."""
-    return inline_script(fill_page_file("threshold.js", VALUE=value))
+    return page_script("threshold.js", VALUE=value)
 
 
 def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
@@ -171,10 +167,7 @@ def _key(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
 
 
 def _bars(histogram: ScoreHistogram, base: float, axis: float) -> str:
-    """Draw the bars: pairs that are apart below the line, all others above it.
-
-    Their heights are logarithmic, because unrelated pairs are many times more.
-    """
+    """Draw logarithmic bars, for unrelated pairs are many: those apart below the line."""
     tallest = np.log1p(max(1, *(int(counts.max()) for counts in histogram.counts.values())))
     width = (SHARES.end - SHARES.start) / NUM_BINS
     drawn: list[str] = []

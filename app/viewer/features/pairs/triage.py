@@ -26,12 +26,11 @@ from app.viewer.session.decisions import (
     with_verdict,
 )
 from app.viewer.session.jobs import Lane
-from app.viewer.session.methods import METHODS, MethodName, map_params
+from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.news import AllPairs, SessionState
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
-from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option, on_press
-from app.viewer.widgets.bridge import Whole, inline_script, send
+from app.viewer.widgets.bridge import Whole, page_script, send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import ACCENT, BAD, FAINT, GOOD, message_line, paragraph
 from gpgrad_core.arrays import NDArray
@@ -187,7 +186,7 @@ class TriageTab(Feature):
         self._typed: Decisions | None = None  # with the note that is in the box already
         self._entries: tuple[ListedPair, ...] = ()
         gui = desk.host.gui
-        gui.add_html(paragraph(INTRODUCTION, FAINT) + inline_script(fill_page_file("triage.js")))
+        gui.add_html(paragraph(INTRODUCTION, FAINT) + page_script("triage.js"))
         self.summary = gui.add_html("")
         self._narrow: viser.GuiDropdownHandle[Filter] = gui.add_dropdown(
             "List of",
@@ -421,7 +420,7 @@ def _picture(
     progress: Progress = silent,
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
     def quick_map(submap: Submap) -> GradientMap:
-        fitted = map_params(submap, PipelineParams(map=params), memo, progress, method)
+        fitted = METHODS[method].of_submap(submap, PipelineParams(map=params), memo, progress)
         return infer_quick_map(submap, fitted.map, memo, progress)
 
     return thumbnail(quick_map(query), quick_map(database), T_database_query, max_std_ratio)

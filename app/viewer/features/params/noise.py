@@ -92,10 +92,7 @@ def _measure(job: _Job, progress: Progress) -> NoiseOverRange:
 
 
 def noise_html(found: NoiseOverRange, params: TerrainParams) -> str:
-    """Draw the noise over the range: a dot where it was measured, and the model as a line.
-
-    Where a cloud gives no ranges, the two are compared in words.
-    """
+    """Draw the noise over the range, as measured and as modelled; without ranges, in words."""
     words = f"The model: {MODELS[params.noise_model]}."
     if not np.isfinite(found.ranges).all():
         low, measured, high = 100 * np.quantile(found.measured, (0.1, 0.5, 0.9))

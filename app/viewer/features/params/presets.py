@@ -104,10 +104,7 @@ def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
 
 
 def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
-    """Save parameters as one of the user's presets; one of the same name is replaced.
-
-    An InputError refuses the name, one preset too many, or a file that cannot be written.
-    """
+    """Save parameters as one of the user's presets, in place of one of the same name."""
     path = _path(folder, name)
     with writable(path):
         if len([other for other in folder.glob("*.toml") if other != path]) >= MOST:
@@ -156,10 +153,7 @@ class PresetsTool(Feature):
     """Offers sets of parameters, and keeps the user's own."""
 
     def __init__(self, desk: Desk, default: PipelineParams) -> None:
-        """Make the list, and a folded folder to keep one's own, in the current container.
-
-        The default is what the dataset was opened with.
-        """
+        """Make the list, and a folded folder to keep one's own, in the current container."""
         self._desk = desk
         self._built_in = _built_in(default)
         self._lock = threading.Lock()
@@ -206,10 +200,7 @@ class PresetsTool(Feature):
             self._show()
 
     def _offer(self, own: Iterable[Preset]) -> None:
-        """Offer presets of the user's own beside those that are built in.
-
-        What is saved or deleted later is passed here; reading all files anew would make pages wait.
-        """
+        """Offer presets of the user's own too; no files are read anew, which would take time."""
         self._own = tuple(own)
         self._list.options = (CUSTOM, *(preset.name for preset in (*self._built_in, *self._own)))
         self._show()

@@ -137,10 +137,7 @@ class SensitivityTool(Feature):
     """Varies parameters in the background, and shows what that does to the verdict."""
 
     def __init__(self, desk: Desk, main: Iterable[str], uuid_of: Callable[[str], str]) -> None:
-        """Begin without strips, for the sliders of some parameters, by their paths.
-
-        ``uuid_of`` gives the name by which a page knows the slider of a path.
-        """
+        """Begin without strips; ``uuid_of`` names the slider of a path for a page."""
         self._desk, self._uuid_of = desk, uuid_of
         self._lock = threading.RLock()
         fields = {field.path: field for field in parameters_of(PipelineParams)}

@@ -171,10 +171,7 @@ class ParamsTab(Feature):
             self._desk.release(params)
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
-        """Apply what a person has set; the noise is no longer automatic if a part of it is set.
-
-        Then the model that the points chose stays, with its other numbers.
-        """
+        """Apply what a person has set; noise of which a part is set is automatic no more."""
         before, terrain = self._desk.state, asked.map
         names = ("noise_growth", "noise_factor")
         moved = {

@@ -19,7 +19,7 @@ from app.viewer.features.work import Downloads, safe_name, send_file, write_clos
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.decisions import Decisions, decide, with_verdict
-from app.viewer.session.methods import map_params, register_pair
+from app.viewer.session.methods import METHODS, register_pair
 from app.viewer.session.news import PairNews, PairShown, SessionState, Subject
 from app.viewer.session.session_file import (
     ENDING,
@@ -418,7 +418,7 @@ def _write_map(
     state: ViewState, memo: Memo, submap_id: str, path: Path, progress: Progress
 ) -> None:
     submap = state.dataset.submap(submap_id)
-    params = map_params(submap, state.given, memo, progress, state.method)
+    params = METHODS[state.method].of_submap(submap, state.given, memo, progress)
     gradient_map = infer_map(submap, params, memo, progress)
     write_map(path, gradient_map, name=submap_id, max_std_ratio=params.features.max_std_ratio)
 

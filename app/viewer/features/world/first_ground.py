@@ -34,10 +34,7 @@ class Pace:
 
 
 class FirstGround:
-    """Shows submaps as the map of a session does, straight from their points.
-
-    That map takes the place of this one.
-    """
+    """Shows submaps straight from their points, until the session's map takes its place."""
 
     def __init__(self, server: viser.ViserServer, memo: Memo) -> None:
         self._server, self._memo = server, memo

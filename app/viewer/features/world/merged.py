@@ -127,11 +127,7 @@ class MergedTerrain:
 
 
 def merge(surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> MergedTerrain:
-    """Merge the surfaces of all submaps that have a pose ``T_world_submap``.
-
-    The lattice is as fine as the surfaces usually are, and coarser where that would be more than
-    `MAX_CELLS`.
-    """
+    """Merge the surfaces of all submaps that have a pose, on at most `MAX_CELLS` cells."""
     placed = {name: surface for name, surface in surfaces.items() if name in poses}
     sides = [surface.gradient_map.grid.resolution for surface in placed.values()]
     resolution = float(np.median(sides)) if sides else 1.0
@@ -257,10 +253,7 @@ def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
 def pieces(
     terrain: MergedTerrain, color: WorldColor, scale: Scale | None, first: int = 0
 ) -> dict[str, Surfels]:
-    """Colour the cells, and give each submap those that it owns, in its own frame: they move.
-
-    The first of the terrain's submaps has a place among all.
-    """
+    """Colour the cells, and give each submap those that it owns, in its own frame: they move."""
     colors = _colors(terrain, color, scale, first)
     order = np.argsort(terrain.owner, kind="stable")
     ends = np.searchsorted(terrain.owner[order], np.arange(len(terrain.names) + 1))
@@ -294,10 +287,7 @@ def _values(terrain: MergedTerrain, color: WorldColor) -> Float[Array, "n"]:
 
 @dataclass(frozen=True, eq=False)
 class Drape:
-    """How a way through some places runs over the ground.
-
-    A place of it is a number: 2.5 is halfway between the third and the fourth vertex.
-    """
+    """How a way lies on the ground; 2.5 is halfway between the third and the fourth vertex."""
 
     at: Float[Array, "m"]
     rise: Float[Array, "m"]  # above the straight way there [m]

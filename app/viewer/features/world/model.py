@@ -238,10 +238,7 @@ class World:
 
 
 def marks_of(moments: Sequence[Moment]) -> list[tuple[int, MarkKind]]:
-    """List what is marked on the line: the number of the moment, and what happened then.
-
-    A refusal is a closure that others contradict from then on, or that is taken back.
-    """
+    """List what happened when; a refusal is taken back, or contradicted by others from then on."""
     marks: list[tuple[int, MarkKind]] = []
     rejected = [frozenset[PairOfIds](), *(frozenset(moment.rejected) for moment in moments)]
     for moment, (before, now) in zip(moments, pairwise(rejected), strict=True):

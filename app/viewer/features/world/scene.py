@@ -86,10 +86,7 @@ def strength_of(loop: LoopClosure, highest: float) -> int:
 def choose_arches(
     loops: Sequence[LoopClosure], options: WorldOptions, selected: str | None
 ) -> tuple[LoopClosure, ...]:
-    """Choose the loops to draw: those with the highest scores, and all of the selected submap.
-
-    Hundreds of arches would hide the ground and each other.
-    """
+    """Choose the best loops, for more would hide the ground, and all of the selected submap."""
     chosen: list[LoopClosure] = []
     least = min((loop.registration.score for loop in loops if loop.accepted), default=np.inf)
     if options.loops and not options.refused:  # what was nearly accepted is shown, faintly
@@ -268,10 +265,7 @@ class WorldScene:
         return True
 
     def mover(self) -> Callable[[Mapping[str, Pose]], None]:
-        """A mover of the submaps, and what hangs on them, without drawing them anew.
-
-        It does nothing once another world has been shown.
-        """
+        """A mover of the submaps and what hangs on them, until another world is shown."""
         world = self._shown
 
         def move(poses: Mapping[str, Pose]) -> None:

@@ -33,7 +33,7 @@ from app.viewer.features.world.submaps import (
 from app.viewer.scene.cameras import Animation, blend, ease, play, set_start, set_view, view_of
 from app.viewer.server.host import on_scene_click, pages
 from app.viewer.session.jobs import Lane
-from app.viewer.session.methods import map_params
+from app.viewer.session.methods import METHODS
 from app.viewer.session.news import AllPairs, SessionState
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by
@@ -492,7 +492,7 @@ class WorldTab(Feature):
                 share(1.0)
                 continue
             try:
-                fitted = map_params(submap, state.given, memo, share, state.method)
+                fitted = METHODS[state.method].of_submap(submap, state.given, memo, share)
                 made = inferred_surface(submap, fitted, memo, len(submaps), share)
             except InputError:
                 made = quick[submap.id]

@@ -13,14 +13,12 @@ from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.work import message_of
 from app.viewer.features.world.model import Past, marks_of
 from app.viewer.features.world.tab import WorldTab
-from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS
 from app.viewer.session.news import DriveNews, SessionState
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, same_search
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
+from app.viewer.widgets.bridge import page_script
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.choosing import likely
@@ -59,7 +57,7 @@ class Timeline(Feature):
         self._unlisten = lambda: None
         desk.newer = self._newer
         self._clear()
-        desk.host.gui.add_html(inline_script(fill_page_file("timeline.js")))
+        desk.host.gui.add_html(page_script("timeline.js"))
         desk.bridge.on_message("timeline", TimelineMsg, self._hear)
         self._computer: Lane[ViewState, None] = Lane(
             desk.jobs,
@@ -391,9 +389,7 @@ class Timeline(Feature):
         self._tell()
 
     def _tell(self) -> None:
-        data = self._data()
-        for page in pages(self._desk.host).values():
-            self._desk.canvases.show(page, "timeline", data)
+        self._desk.canvases.show_all("timeline", self._data())
 
     def _data(self) -> dict[str, object]:
         with self._lock:

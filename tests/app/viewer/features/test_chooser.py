@@ -72,7 +72,8 @@ def test_another_dataset_of_the_same_name_has_pictures_of_its_own(
     desk: Desk, chooser: Chooser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = FakePage()
-    monkeypatch.setattr("app.viewer.features.chooser.pages", lambda _: {0: page})
+    for module in ("features.chooser", "widgets.canvas"):
+        monkeypatch.setattr(f"app.viewer.{module}.pages", lambda _: {0: page})
 
     def shown() -> list[object]:
         """Give what the page shows of both submaps by what it was sent, as its script does."""

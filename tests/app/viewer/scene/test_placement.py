@@ -126,7 +126,7 @@ def test_the_offset_of_height_is_found_over_the_overlap_and_else_zero() -> None:
         (T_DATABASE_QUERY, 1e-9, 0.0),
         (SE2(100.0, 0.0, 0.0), 0.5, 0.0),
     ):
-        found = height_offset(lowered, database_map, motion, ratio)
+        found = height_offset((lowered, database_map), motion, ratio)
         assert found == pytest.approx(offset, abs=0.02)
 
 
