@@ -27,10 +27,12 @@ def test_every_notebook_is_tried() -> None:
 
 
 @pytest.mark.parametrize("name", SHOWS)
-def test_notebook_is_short_and_kept_without_outputs(name: str) -> None:
+def test_notebook_is_short_and_opens_with_a_picture_but_no_outputs(name: str) -> None:
     notebook = read(name)
     nbformat.validate(notebook)
     assert len(notebook.cells) <= 10
+    (picture,) = re.findall(r"^!\[.+\]\((.+)\)$", notebook.cells[0].source, re.MULTILINE)
+    assert (EXAMPLES / picture).is_file()
     for cell in notebook.cells:
         if cell.cell_type == "code":
             assert (cell.outputs, cell.execution_count) == ([], None)
