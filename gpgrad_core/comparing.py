@@ -75,12 +75,8 @@ def compare_dataset(
 ) -> Compared:
     """Compare the pairs of a dataset, or one, and write ``closures.json`` as they are compared.
 
-    What is automatic is fitted to the whole dataset, so that a single pair (query id, database id)
-    gets the same verdict. Without a scheduler's address the work is done on this machine. Hooks are
-    called with notes on the dataset, what was fitted, and each verdict; ``stage`` begins a stage.
-
-    Raises:
-        InputError: If a cloud cannot be used, or the scheduler does not answer.
+    What is automatic is fitted to the whole dataset, so that a single pair gets the same verdict.
+    Without a scheduler's address the work is done on this machine.
     """
     stage = hooks.get("stage", lambda _: nullcontext(silent))
     on_note = hooks.get("on_note", lambda _: None)

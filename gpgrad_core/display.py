@@ -56,11 +56,9 @@ def _table(rows: Sequence[Sequence[str]], *, head: bool = False) -> str:
     return f'<table style="border-collapse:collapse">{"".join(lines)}</table>'
 
 
-def shaded(
-    slope: Float[Floats, "*cells 2"], light: tuple[float, float, float] = LIGHT
-) -> Float[Floats, "*cells"]:
-    """Shade terrain: 0 in the dark to 1, where it faces a light that lies in a direction."""
-    x, y, z = light
+def shaded(slope: Float[Floats, "*cells 2"]) -> Float[Floats, "*cells"]:
+    """Shade terrain: 0 in the dark to 1, where it faces the light."""
+    x, y, z = LIGHT
     along_x, along_y = slope[..., 0], slope[..., 1]
     facing = (z - along_x * x - along_y * y) / np.sqrt(1.0 + along_x**2 + along_y**2)
     return np.clip(facing, 0.0, 1.0)

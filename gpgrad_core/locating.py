@@ -97,11 +97,7 @@ def cut_windows(
 ) -> list[Window]:
     """Cut a model into windows with some heights, so that one holds everything of this width [m].
 
-    `near` is easting, northing and radius [m] of a circle that they reach. They begin in the
-    south-west.
-
-    Raises:
-        InputError: If there are too many, or none.
+    `near` is easting, northing and radius [m] of a circle that they reach.
     """
     sides = [_starts(n, cell, width) for n, cell in zip(model.heights.shape[::-1], model.cell,
                                                         strict=True)]  # fmt: skip

@@ -337,9 +337,6 @@ def read_parameters(path: Path | str, base: P) -> P:
         path: The file. It has one table for each group: ``[map]`` holds ``length_scale = 0.3``.
         base: Params that are used where the file has no value.
 
-    Returns:
-        Params of the same type as the base.
-
     Raises:
         InputError: If the file is not TOML, names an unknown parameter, or gives one a value of
             the wrong type or outside its bounds; the message names the file and the key.
@@ -356,9 +353,6 @@ def preferred_parameters(dataset: "gpgrad_core.types.Dataset", base: P) -> P:
     Args:
         dataset: The dataset; its ``dataset.toml`` may have tables such as ``[preferred.map]``.
         base: Params that are used where the dataset has no value.
-
-    Returns:
-        Params of the same type as the base.
 
     Raises:
         InputError: If a parameter is unknown, or its value has the wrong type or is outside its

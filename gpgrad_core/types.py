@@ -603,7 +603,6 @@ class Features:
     descriptors: Float[Singles, "k d"] | UInt8[NDArray[np.uint8], "k d"]
 
     def __len__(self) -> int:
-        """Number of keypoints."""
         return len(self.positions)
 
     def select(self, chosen: Mask | Indices) -> "Features":
@@ -646,7 +645,6 @@ class Matches:
     database_xy: Float[Array, "m 2"]
 
     def __len__(self) -> int:
-        """Number of associations."""
         return len(self.pairs)
 
 

@@ -116,12 +116,7 @@ class Consistency:
         odometry: Sequence[SE2 | None] = (),
         centres: Sequence[Float[Array, "3"]] = (),
     ) -> Contexts:
-        """Weigh the pairs (query, database), of which those of the last time come first.
-
-        Their scores are those of the pairs alone. Odometry, if it may speak, is
-        ``T_odometry_submap`` of each submap, and places and gaps are measured at the centres, or
-        else at the origins.
-        """
+        """Weigh the pairs (query, database), of which those of the last time come first."""
         new = dict(islice(registrations.items(), self._num_processed, None))
         self._num_processed = len(registrations)
         compared = self._compared = self._compared.joined(_Compared.of(new, centres))

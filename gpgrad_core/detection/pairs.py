@@ -151,12 +151,9 @@ class Pairs:
     ) -> None:
         """Make a table in which no pair is compared yet; see `detect_loop_closures`.
 
-        ``store`` has the pipeline's results for later runs. ``registered`` has the registrations of
-        an earlier run with the same parameters and candidates, by ids (query, database); a new one
-        is put in before the progress hook is called. ``bytes_in_memory`` of what is extracted stay
-        in memory, the rest in a temporary folder, which `close` removes. Raises InputError if the
-        number of candidates is none that is allowed, or if the detector has no keypoints to choose
-        them by.
+        ``registered`` has registrations of an earlier run with the same parameters, and gets each
+        new one. ``bytes_in_memory`` of what is extracted stay in memory, the rest in a temporary
+        folder, which `close` removes.
         """
         check_searchable(candidates, detector)
         self.submaps = list(submaps)
@@ -202,11 +199,7 @@ class Pairs:
     def resolve(
         self, sources: Sequence[SubmapSource] | None = None, progress: Progress = silent
     ) -> Progress:
-        """Make the pipeline's detector, unless there is one; gives the progress of what is left.
-
-        Automatic parameters are fitted to the sources; None takes all submaps. Raises InputError if
-        a submap's map cannot be made.
-        """
+        """Make the pipeline's detector, unless there is one; gives the progress of what is left."""
         if self.detector is not None:
             return progress
         sources = self.submaps if sources is None else sources
@@ -334,14 +327,7 @@ class Pairs:
     def judge(
         self, thresholds: ClosureParams | None = None, pairs: Iterable[PairOfIds] | None = None
     ) -> Iterator[LoopClosure]:
-        """The verdicts under some thresholds, each with its context from the other pairs.
-
-        An earlier verdict may be another one once a submap is added. Thresholds of None are those
-        of the table's parameters; pairs of None are all, sorted by query and then by database.
-
-        Raises:
-            InputError: If an image cannot be read.
-        """
+        """The verdicts under thresholds (None: the table's), each with what the others say."""
         params = self.params if thresholds is None else replace(self.params, closure=thresholds)
         contexts = self._contexts(params.closure.others)
         for pair in list(self._registrations) if pairs is None else map(self._pair, pairs):

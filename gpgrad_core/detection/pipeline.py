@@ -218,9 +218,6 @@ def register_pair(
         progress: Called with the fraction done; may raise Cancelled.
         helper: Takes over one of the submaps if both are new; the result is the same.
 
-    Returns:
-        The results of all stages.
-
     Raises:
         InputError: If a submap's map cannot be made.
     """

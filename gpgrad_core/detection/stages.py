@@ -117,7 +117,6 @@ class Stages:
         return self.memo(stage.function, *arguments)
 
     def holds(self, stage: Stage[object], *submaps: Submap) -> bool:
-        """Whether the memo has the result of a stage and of those before it."""
         if not all(
             self.holds(source, *some)
             for source in stage.inputs

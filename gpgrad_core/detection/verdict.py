@@ -191,9 +191,6 @@ def classify(
         query_id: Name of the query submap.
         database_id: Name of the database submap.
         context: What the other pairs of the dataset say; its score then counts.
-
-    Returns:
-        The verdict, with its reason in one line.
     """
     params = params or ClosureParams()
     if context is not None:

@@ -216,9 +216,6 @@ def evaluate(
         seed: Seed of the resamples for the intervals.
         progress: Called with the fraction done while overlaps are measured; may raise Cancelled.
 
-    Returns:
-        The results of all methods.
-
     Raises:
         InputError: If the dataset has no true poses, if no detection is given, or if one does not
             fit the dataset; see `rank_pairs`.

@@ -62,7 +62,6 @@ class TruePairs:
 
     @property
     def relative_yaw(self) -> Float[Array, "p"]:
-        """Angle from the query's heading to the database's (p,) [rad], in (-pi, pi]."""
         return np.array([-motion.yaw for motion in self.T_database_query], dtype=np.float64)
 
 

@@ -112,9 +112,6 @@ def write_report(
         sections: Additional sections.
         progress: Called with the fraction done; may raise Cancelled.
 
-    Returns:
-        The paths of all files written.
-
     Raises:
         InputError: If the folder cannot be made or written to.
     """

@@ -100,13 +100,11 @@ class Rule:
 
     @property
     def name(self) -> str:
-        """The rule in a few words."""
         what = "box IoU" if self.measure == "box" else "surface overlap"
         return f"{what} > {self.threshold:g}"
 
     @property
     def statement(self) -> str:
-        """The rule in a full sentence."""
         if self.measure == "box":
             true = f"the boxes' intersection over union (Eq. 8) is above {self.threshold:g}"
         else:
@@ -130,7 +128,6 @@ class Rule:
         return pairs.box_iou if self.measure == "box" else pairs.surface_overlap
 
     def label(self, pairs: TruePairs) -> Labels:
-        """Label every pair as true, false or left out."""
         far = pairs.steps > self.neighbours
         true = self.measured(pairs) > self.threshold
         between = ~true & (pairs.box_iou > 0)
@@ -188,9 +185,8 @@ def pose_errors(
 ) -> PoseErrors:
     """Compare motions ``T_database_query`` with the true ones; None if nothing was estimated.
 
-    The offset is the distance of the query's centre from its true position, and the turn is the
-    error of the heading. A motion is right within the largest offset [m] and turn [rad]. The
-    centres are `Submap.centre` of each query [m], or else the origins.
+    The offset is that of the query's centre [m], by default its origin, and the turn that of its
+    heading [rad]. A motion is right within the largest of both.
     """
     at = np.zeros((len(true), 2)) if centres is None else centres
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)

@@ -23,11 +23,7 @@ MIN_IMAGE_SIDE = 16
 def opencv_detector(
     create: str, *, as_bytes: bool = False, least_side: int = MIN_IMAGE_SIDE, **options: float
 ) -> Callable[[GradientMap, float], Detection]:
-    """Adapt the detector that a function of OpenCV makes with some options.
-
-    They should set no threshold on the contrast, so that gentle ground has as many keypoints as
-    steep ground. The least side is in pixels.
-    """
+    """Adapt a detector of OpenCV, made with options that set no threshold on the contrast."""
 
     def detect(gradient_map: GradientMap, white: float) -> Detection:
         detector = _create(create, **options)

@@ -36,9 +36,6 @@ def fit_gp(
     The mean height [m] is subtracted before and added after; None takes the points' mean. The time
     of ``lattice`` grows with the area in length-scales, that of ``tiles`` with the number of points
     in a length-scale; ``auto`` takes the one that is estimated to be faster.
-
-    Raises:
-        InputError: If the GP would be too large or cannot be solved.
     """
     problem = GPProblem.of(points, kernel, noise_std, mean, accuracy)
     if solver == "auto":

@@ -19,14 +19,7 @@ from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import lattice_spacing
-from gpgrad_core.gp.solution import (
-    Cost,
-    GPProblem,
-    Posterior,
-    Solver,
-    TerrainFields,
-    clip_variance,
-)
+from gpgrad_core.gp.solution import Cost, GPProblem, Posterior, Solver, TerrainFields, clip_variance
 from gpgrad_core.gp.splat import FineKernel, MeanField
 from gpgrad_core.gp.weight_space import (
     MOST_INFORMATION_IN_SINGLE,

@@ -88,7 +88,6 @@ class Cost:
 
     @property
     def excess(self) -> float:
-        """How many times more than allowed it is."""
         return max(self.seconds / MOST_SECONDS, self.num_bytes / MOST_BYTES)
 
     def __str__(self) -> str:

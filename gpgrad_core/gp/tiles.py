@@ -15,14 +15,7 @@ from numpy.polynomial.chebyshev import chebvander
 from gpgrad_core.arrays import Array, Floats, Indices, Mask
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import (
-    Cost,
-    GPProblem,
-    Posterior,
-    Solver,
-    TerrainFields,
-    clip_variance,
-)
+from gpgrad_core.gp.solution import Cost, GPProblem, Posterior, Solver, TerrainFields, clip_variance
 from gpgrad_core.gp.splat import FineKernel, MeanField
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.threads import own_threads

@@ -32,13 +32,7 @@ from gpgrad_core.io.poses import (
     write_poses,
     write_positions,
 )
-from gpgrad_core.reading.paths import (
-    DAY,
-    check_path,
-    in_order,
-    seconds_in,
-    with_distinct_numbers,
-)
+from gpgrad_core.reading.paths import DAY, check_path, in_order, seconds_in, with_distinct_numbers
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes

@@ -257,11 +257,7 @@ def pose_row(key: str, pose: Pose) -> str:
 def poses_at(
     positions: Mapping[int, Float[Array, "3"]], odometry: Mapping[int, Pose]
 ) -> dict[int, Pose]:
-    """Combine true positions of submaps' origins [m], as from GNSS, with odometry's headings.
-
-    They are turned so that odometry's positions nearby lie on the true ones, as the S3LI dataset's
-    toolkit does (DLR-RM/s3li-toolkit). Poses are level; none if the traverse is too short.
-    """
+    """Combine true positions [m], as from GNSS, with odometry's headings, turned to fit nearby."""
     both = sorted(set(positions) & set(odometry))
     true = np.array([positions[k][:2] for k in both]).reshape(-1, 2)
     driven = np.array([odometry[k].translation[:2] for k in both]).reshape(-1, 2)

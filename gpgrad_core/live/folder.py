@@ -10,16 +10,7 @@ from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds import load_cloud_with_notes
 from gpgrad_core.io.folder import CLOUD_FOLDER, ODOMETRY_FILES, index_of, list_clouds
 from gpgrad_core.io.poses import read_poses
-from gpgrad_core.live.source import (
-    LOOK,
-    PATIENCE,
-    Arrival,
-    News,
-    Source,
-    Stamp,
-    Trouble,
-    mark_of,
-)
+from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Stamp, Trouble, mark_of
 from gpgrad_core.se2 import Pose
 
 ANY_NUMBER = range(10**18)

@@ -202,7 +202,6 @@ class Follower:
 
     @property
     def counts(self) -> Counts:
-        """What became of all submaps so far."""
         with self._changed:
             return replace(
                 self._counts,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gpgrad_core.errors import InputError, readable, writable
 from gpgrad_core.io.folder import spooled
-from gpgrad_core.run.folders import NameLock, temporary_folder
+from gpgrad_core.run.folders import NameLock, temporary_folder, to_disk
 from gpgrad_core.run.memory import Spool
 from gpgrad_core.se2 import PoseRow
 from gpgrad_core.slam.loop_closer import Moment
@@ -60,7 +60,6 @@ class Keeper:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The ids of all submaps, in the order of an earlier run, and then as they came."""
         return tuple(self._submaps)
 
     def keep(self, submap: Submap) -> bool:
@@ -96,12 +95,7 @@ class Keeper:
         writer = RunWriter(lock.unfinished, settings, is_locked=True)
         lock.unfinished.replace(path)
         writer.path, self._writer = path, writer
-        if os.name != "nt":  # Windows cannot open folders
-            folder = os.open(path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)  # so that its name survives a power cut too
-            finally:
-                os.close(folder)
+        to_disk(path.parent)
         return writer
 
     def submap(self, name: str) -> Submap:

@@ -154,9 +154,6 @@ def fit_parameters(
         options: Size and trend of the patches, and where the search stops.
         progress: Called with the fraction done; may raise Cancelled.
 
-    Returns:
-        The fitted parameters and their log likelihood per point.
-
     Raises:
         InputError: If there is no submap, or if the noise model is ``file`` and a cloud gives no
             noise.
@@ -352,7 +349,6 @@ class _Area:
 
     @cached_property
     def _unit_patches(self) -> list[Patch]:
-        """The patches with a noise of one; only the noise changes."""
         xy, z = self.points[:, :2], self.points[:, 2]
         mean = z.mean()
         return [
@@ -417,9 +413,8 @@ def _maximum(
 ) -> tuple[TerrainParams, list[Likelihood]]:
     """Search from params, whose signal is set, for a maximum of the likelihood of all areas.
 
-    Each step solves for the maximum with the average information in place of the second
-    derivatives, damped as by Levenberg and Marquardt and kept within the limits. The last one is
-    not evaluated; the likelihoods returned are from before it.
+    Each step solves for it with the average information in place of the second derivatives, damped
+    as by Levenberg and Marquardt. The likelihoods returned are from before the last step.
     """
     patches = [patch for area in areas for patch in area.with_noise(params)]
     num_points = sum(map(len, patches))

@@ -320,10 +320,6 @@ def fit_terrain(
 
     If it at least halves a large cloud, the cloud is binned to cells of an eighth of a length-scale
     or less: a weighted mean replaces the points of a cell, with the noise of a mean.
-
-    Raises:
-        InputError: If the GP would be too large or cannot be solved, or if the cloud does not give
-            the noise that the model takes from it.
     """
     check_num_points(submap, params.max_points)
     submap = subsample(submap, MOST_POINTS)

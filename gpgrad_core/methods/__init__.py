@@ -90,7 +90,6 @@ class Method:
 
     @property
     def installed(self) -> bool:
-        """Whether the package that it needs is installed."""
         return not self.package or importlib.util.find_spec(self.package) is not None
 
 

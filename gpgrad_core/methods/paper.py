@@ -128,11 +128,7 @@ def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelinePara
 def register_paper_pair(
     query: Submap, database: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> PaperPair:
-    """Run the paper's stages for one pair; what the memo has is not computed again.
-
-    The registration has n as ``num_inliers``, h as ``dissimilarity`` and h for a cell as
-    ``mean_dissimilarity``. Raises InputError if a submap's map cannot be made.
-    """
+    """Run the paper's stages for one pair; what the memo has is not computed again."""
     detector = PaperDetector(params, memo)
     query_side = detector.extract(detector.infer(query, part(progress, 0.0, 0.4)))
     database_side = detector.extract(detector.infer(database, part(progress, 0.4, 0.8)))

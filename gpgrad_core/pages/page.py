@@ -25,11 +25,7 @@ from gpgrad_core.detection.choosing import likely
 from gpgrad_core.errors import score_in_words
 from gpgrad_core.evaluation import Evaluation
 from gpgrad_core.evaluation.report import render
-from gpgrad_core.io.records.closures import (
-    ClosureReport,
-    restore_closures,
-    rounded,
-)
+from gpgrad_core.io.records.closures import ClosureReport, restore_closures, rounded
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.matching import match_features

@@ -62,10 +62,8 @@ class FrameRows:
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
         for transform in message.transforms:
-            parent, child = (
-                frame_name(transform.header.frame_id),
-                frame_name(transform.child_frame_id),
-            )
+            frames = transform.header.frame_id, transform.child_frame_id
+            parent, child = map(frame_name, frames)
             first = self.parents.setdefault(child, parent)
             if first != parent:
                 error = (
@@ -142,14 +140,8 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         tree = contents.frames.tree()
 
         def between(target: str, source: str) -> Poses | None:
-            camera_in_body = tree.between(
-                frame_name(target), frame_name(source), stamps[:1], params
-            )
-            return (
-                None
-                if camera_in_body is None or not camera_in_body.valid.all()
-                else camera_in_body.poses
-            )
+            found = tree.between(frame_name(target), frame_name(source), stamps[:1], params)
+            return None if found is None or not found.valid.all() else found.poses
 
         decode = sensor.open(replace(bag, between=between), topics)
     read = _reader(path, topics, contents.logged, parts, decode, sensor.batch)
@@ -291,12 +283,10 @@ class _Contents:
 
     @property
     def frame(self) -> str:
-        """The frame of the clouds."""
         return self.named.get(self.topic, "")
 
     @property
     def pose_frame(self) -> str:
-        """The frame in which the poses are given."""
         return self.named.get(f"{self.pose_topic}", "")
 
     @property
@@ -609,8 +599,6 @@ def _reader(
 
 
 def _moved(read: ReadScans, poses: Poses) -> ReadScans:
-    """Move the points of each scan by a pose."""
-
     def read_moved(scans: Sequence[int]) -> Iterator[Scan]:
         for k, scan in zip(scans, read(scans), strict=True):
             yield replace(scan, points=poses[k : k + 1].apply(scan.points))

@@ -150,9 +150,6 @@ def build_dataset(
         overwrite: Whether to replace a dataset that gpgrad made, once the new one is finished.
         progress: Called once per scan; may raise Cancelled.
 
-    Returns:
-        What was built, and notes on what was left out.
-
     Raises:
         InputError: If the recording cannot be used, or the directory is not empty; the message
             says what is wrong and what to do.

@@ -23,7 +23,7 @@ from gpgrad_core.io.folder import JOURNAL, check_vacant
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record, parse_json
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
-from gpgrad_core.run.folders import empty, locked, put_in_place, staging
+from gpgrad_core.run.folders import empty, locked, put_in_place, staging, to_disk
 
 Kind = TypeVar("Kind")
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
@@ -61,7 +61,7 @@ class Journal:
     def added(self, entry: Entry, cloud: Path | None) -> "Journal":
         """Add a submap to the journal, after its cloud has been written to the disk."""
         if cloud is not None:
-            _to_disk(cloud)
+            to_disk(cloud)
             entry = structs.replace(entry, hash=_hash(cloud))
         with (self.folder / JOURNAL).open("a", encoding="utf-8", newline="\n") as file:
             file.write(_line(entry) + "\n")
@@ -75,10 +75,10 @@ class Journal:
     def finish(self, *, overwrite: bool = False) -> None:
         """Rename the dataset to its final name; from then on it is finished."""
         self.clouds.rename(self.folder / CLOUDS)
-        _to_disk(self.folder)
+        to_disk(self.folder)
         with staging(self.directory) as stage:
             put_in_place(self.folder, self.directory, stage, replace=overwrite)
-        _to_disk(self.directory.parent)
+        to_disk(self.directory.parent)
 
 
 @contextlib.contextmanager
@@ -114,7 +114,7 @@ def open_journal(
 def _begin(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
     (folder / UNFINISHED_CLOUDS).mkdir(parents=True)
     write_lines(folder / JOURNAL, [json.dumps(header)])
-    _to_disk(folder / JOURNAL)
+    to_disk(folder / JOURNAL)
     return Journal(directory, folder, ())
 
 
@@ -148,7 +148,7 @@ def _resume(directory: Path, folder: Path, header: Mapping[str, object]) -> Jour
     rewritten = [lines[0], *map(_line, entries)]
     unfinished = path.with_suffix(".new")
     write_lines(unfinished, rewritten)
-    _to_disk(unfinished)
+    to_disk(unfinished)
     unfinished.replace(path)
     listed = {f"{entry.id}.ply" for entry in entries}
     for cloud in clouds.iterdir():
@@ -192,15 +192,3 @@ def _difference(before: dict[str, Any] | None, now: dict[str, Any]) -> str:
 
 def _hash(file: Path) -> str:
     return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
-
-
-def _to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, would survive a power cut."""
-    if path.is_dir() and os.name == "nt":
-        return  # Windows cannot open folders
-    # Windows can only flush files that are open for writing.
-    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

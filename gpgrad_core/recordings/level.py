@@ -61,7 +61,6 @@ def _in_sensor_frame(recording: Recording) -> Reader:
 
 
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
-    """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
     for k, scan in recording.sample():
         points = np.asarray(usable(scan, params)[0].points, np.float64)

@@ -60,8 +60,7 @@ def estimate_poses(
 ) -> Recording:
     """Estimate poses of a recording's scans, in the frame of the body at the first scan.
 
-    The same scans give the same poses to the bit. Where a scan cannot be registered, the odometry
-    begins anew at the pose that the last motion predicts: see `Recording.breaks`.
+    Where a scan cannot be registered, it begins anew at the predicted pose: see `Recording.breaks`.
     """
     package = load_library("kiss_icp.kiss_icp", "gpgrad[odometry]")
     if params.points_frame == "world" or recording.in_world:
@@ -98,7 +97,6 @@ def estimate_poses(
 
 
 def _range(recording: Recording, params: BuildParams) -> float:
-    """Find how far the sensor sees [m]."""
     every = np.concatenate([np.linalg.norm(scan.finite, axis=1) for _, scan in recording.sample()])
     every = every[every <= (params.max_range or LONGEST)]
     if not len(every):

@@ -141,10 +141,7 @@ def _pose_of(product: Product, places: Mapping[tuple[int, ...], Pose], table: Pa
 
 
 def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
-    """Read a table of PLACES: the rover's pose in north, east and down [m].
-
-    It gives poses by (site, drive, pose), and by (site, drive) the last of a drive.
-    """
+    """Read the rover's poses in north, east, down [m] by (site, drive, pose) and (site, drive)."""
     rows = table_rows(path, comments=())
     names = [name.lower() for name in rows[0][1]] if rows else []
     missing = [name for name in COLUMNS if name not in names]
@@ -261,7 +258,6 @@ def _numbers(values: object, count: int, key: str, label: Path) -> list[float]:
 
 
 def _points(product: Product) -> Float[Array, "n 3"]:
-    """Read the points of a product in the rover's frame [m]."""
     data = _open_product(product.label)
     try:
         bands = np.asarray(data["IMAGE"])

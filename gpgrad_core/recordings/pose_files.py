@@ -58,9 +58,8 @@ def read_pose_file(path: Path, usual: tuple[Sequence[int], bool] | None = None) 
     """Read TUM rows ``timestamp tx ty tz qx qy qz qw``, or KITTI rows of a 3x4 matrix.
 
     A TUM row may also have the 36 numbers of a covariance, position first, as in ROS, or the number
-    of a frame, as RTAB-Map writes it. ``#`` starts a comment. A comment or a first line may name
-    the columns in another order, as EuRoC's do; further columns are passed over. Times in
-    nanoseconds become seconds. `usual` is what `named_columns` gives where nothing names them.
+    of a frame, as RTAB-Map writes it. A comment or a first line may name the columns in another
+    order; `usual` is what `named_columns` gives where nothing does.
     """
     rows: list[list[float]] = []
     places: list[str] = []
@@ -134,12 +133,9 @@ def read_timed_poses(path: Path, usual: tuple[Sequence[int], bool] | None = None
 def read_truth_file(path: Path) -> PoseFile:
     """Read true poses, or true positions as a GNSS receiver gives them.
 
-    Poses are those of `read_pose_file`. Positions are rows ``timestamp x y z`` [s, m], z up, or a
-    solution of RTKLIB (a file that ends in ``.pos``): rows of week and seconds, or date and time,
-    then latitude, longitude and height, as RTKLIB 2.4.2 writes them. Its places become metres east,
-    north and up of the first one. Its times become seconds since 1970 in UTC; those in GPS time are
-    `LEAP_SECONDS` less. Not verified on a real file. ``#``, or ``%`` in a ``.pos``, starts a
-    comment.
+    Positions are rows ``timestamp x y z`` [s, m], z up, or a solution of RTKLIB 2.4.2 (``.pos``):
+    week and seconds, or date and time, then latitude, longitude and height. Its places become
+    metres from the first one, its times UTC. Not verified on a real file.
     """
     if path.suffix.lower() == ".pos":
         return positions_of(*_read_solution(path))

@@ -33,7 +33,6 @@ class Scan:
 
     @property
     def finite(self) -> Float[Array, "n 3"]:
-        """The finite points [m]."""
         points = np.asarray(self.points, np.float64)
         return points[np.isfinite(points).all(axis=1)]
 
@@ -129,7 +128,6 @@ class Recording:
         return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
 
     def pieces(self, params: BuildParams) -> list[range]:
-        """Divide the scans into submaps; see `cut`."""
         stamps = np.zeros(len(self)) if self.stamps is None else self.stamps
         return cut(stamps, self.body, params, self.covariance, self.breaks)
 

@@ -101,13 +101,11 @@ class Sensor:
     advice: str = ""  # what may be wrong if no scan has any points
 
 
-def _find_clouds(bag: Bag) -> list[tuple[str, ...]]:
-    return [(topic,) for topic in bag.of_type(CLOUD)]
+def _topics_of(*kinds: str) -> Callable[[Bag], list[tuple[str, ...]]]:
+    return lambda bag: [(topic,) for topic in bag.of_type(*kinds)]
 
 
 def _one_by_one(read: Callable[[Message, str], Scan]) -> Decode:
-    """Decode scans of one message each."""
-
     def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
         for (message,), place in zip(messages, where, strict=True):
             yield read(message, place)
@@ -116,10 +114,7 @@ def _one_by_one(read: Callable[[Message, str], Scan]) -> Decode:
 
 
 def _open_clouds(bag: Bag, _topics: tuple[str, ...]) -> Decode:
-    def read(message: Message, where: str) -> Scan:
-        return Scan(_points_of(message, where, bag.keep))
-
-    return _one_by_one(read)
+    return _one_by_one(lambda message, where: Scan(_points_of(message, where, bag.keep)))
 
 
 def _points_of(
@@ -175,10 +170,6 @@ def _points_of(
     table = keep.select(table, values_of, where)
     points = np.column_stack([table[name] for name in "xyz"])
     return points.astype(np.float64 if points.dtype.itemsize > 4 else np.float32)
-
-
-def _find_livox(bag: Bag) -> list[tuple[str, ...]]:
-    return [(topic,) for topic in bag.of_type(*LIVOX_CLOUDS)]
 
 
 def _open_livox(bag: Bag, _topics: tuple[str, ...]) -> Decode:
@@ -264,13 +255,11 @@ def _encoding_of(message: Message) -> str:
 
 
 def _is_depth(message: Message) -> bool:
-    """Whether an image holds depths."""
     packed_otherwise = "compressedDepth" not in getattr(message, "format", "compressedDepth")
     return not packed_otherwise and _encoding_of(message) in DEPTHS
 
 
 def _grey_images(messages: Sequence[Message], where: Sequence[str]) -> list[Grey]:
-    """Read the grey values of images."""
     packed = [hasattr(message, "format") for message in messages]
     chosen = [k for k, is_packed in enumerate(packed) if is_packed]
     contents = [np.asarray(messages[k].data, np.uint8).tobytes() for k in chosen]
@@ -385,8 +374,8 @@ STEREO_PAIR = Sensor(
     "image pairs", (IMAGE, COMPRESSED), _find_pairs, _open_pairs, batch=8, advice=NO_MATCH
 )
 SENSORS = (
-    Sensor("clouds", (CLOUD,), _find_clouds, _open_clouds),
-    Sensor("clouds", LIVOX_CLOUDS, _find_livox, _open_livox),
+    Sensor("clouds", (CLOUD,), _topics_of(CLOUD), _open_clouds),
+    Sensor("clouds", LIVOX_CLOUDS, _topics_of(*LIVOX_CLOUDS), _open_livox),
     Sensor("depth images", (IMAGE, COMPRESSED), _find_depths, _open_depths),
     STEREO_PAIR,
 )

@@ -41,7 +41,6 @@ class Poses:
         return self.rotation.apply(points) + self.translation
 
     def repeated(self, count: int) -> "Poses":
-        """Repeat the first pose."""
         return self[np.zeros(count, np.intp)]
 
     def inverse(self) -> "Poses":
@@ -87,7 +86,6 @@ class Trajectory:
         return cls(stamps, poses[first], covariances)
 
     def at(self, times: Float[Array, "m"], params: BuildParams) -> "Located":
-        """Find the poses at times [s]."""
         if self.fixed:
             return Located.all_valid(self.poses.repeated(len(times)))
         last = len(self.stamps) - 1
@@ -162,7 +160,6 @@ class FrameTree:
         return max(lengths, key=lengths.__getitem__, default=None)
 
     def is_below(self, frame: str, other: str) -> bool:
-        """Whether a frame is another one, or is below it."""
         return other in self._way_up(frame)
 
     def between(
@@ -207,8 +204,7 @@ def cut(
 ) -> list[range]:
     """Divide scans into submaps: one that reaches a limit, or one of the `breaks`, begins the next.
 
-    Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
-    How far a position has grown uncertain is counted from the first known covariance of a submap.
+    Uncertainty grows from the first known covariance [m²] of a submap; z of the poses points up.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(

@@ -82,7 +82,6 @@ class Voxels:
 
     @property
     def points(self) -> Float[Array, "m 3"]:
-        """Mean of each voxel's points [m]."""
         cells = [((self.keys >> shift) & (2 * HALF - 1)) - HALF for shift in (2 * BITS, BITS, 0)]
         centres = (np.column_stack(cells) + 0.5) * self.size
         return centres + self.sums[:, 1:4] / self.counts[:, None]

@@ -93,7 +93,6 @@ class Alignment:
 
     @property
     def covariance(self) -> Float[Array, "3 3"]:
-        """Covariance of x, y and yaw at the middle of the common cells."""
         return self.noise + self.drift
 
 
@@ -131,9 +130,6 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
     Drift within a submap makes long waves differ more than short ones. For least squares, both
     should differ equally, so a share of the long waves is removed. On dense clouds this brings a
     right motion a fifth closer to the truth; on noisy clouds it changes nothing.
-
-    Of the result, the height offset, and what drift adds to the covariance, are those of the whole
-    elevation.
     """
     rough = align(
         query, database, start, num_cells=ROUGH_CELLS, iterations=ROUGH_ITERATIONS, warp=DRIFTED

@@ -14,11 +14,7 @@ from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, Mask
 from gpgrad_core.registration.align import Alignment, Alignments, align, align_all, align_fine
-from gpgrad_core.registration.candidates import (
-    find_motions,
-    one_to_one,
-    search_motions,
-)
+from gpgrad_core.registration.candidates import find_motions, one_to_one, search_motions
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.score import (
     INLIER_WEIGHT,

@@ -231,6 +231,18 @@ def empty(folder: Path, last: str = "") -> None:
             entry.unlink()
 
 
+def to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would survive a power cut."""
+    if path.is_dir() and os.name == "nt":
+        return  # Windows cannot open folders
+    # Windows can only flush files that are open for writing.
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def temporary_folder() -> Path:
     """Find the system's folder for temporary files; InputError if none can be written."""
     try:

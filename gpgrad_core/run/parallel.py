@@ -314,10 +314,8 @@ def _hash(file: Path) -> str:
 def connected(address: str) -> Generator[Cluster]:
     """Connect to a Dask scheduler, such as ``tcp://10.0.0.7:8786``, for the time of the block.
 
-    Raises:
-    InputError: If Dask is not installed, no scheduler answers, it has no workers, or one has
-    another version of gpgrad or of a library under it.
-    OSError: If the cluster is lost, or a job has ended several workers.
+    Raises InputError if none answers, it has no workers, or one has another version of gpgrad or of
+    a library under it; and OSError if the cluster is lost, or a job has ended several workers.
     """
     distributed = load_library("distributed", "gpgrad[cluster]")
     try:

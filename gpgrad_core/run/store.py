@@ -90,10 +90,7 @@ class Store:
     """
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
-        """Open a store, by default in the user's cache; it is made at the first result.
-
-        Each process may exceed the bytes by one hundredth.
-        """
+        """Open a store, by default in the user's cache; it is made at the first result."""
         place = default_folder() if folder is None else folder
         if place is None:
             raise InputError("the user has no home; name a folder for the kept results")
@@ -327,7 +324,6 @@ class _Opened:
 
 
 def _tables(index: sqlite3.Connection) -> list[tuple[object, ...]]:
-    """Describe the tables, views and triggers of an index."""
     return index.execute("select type, name, sql from sqlite_master order by name").fetchall()
 
 

@@ -70,9 +70,6 @@ def simulate_demo() -> Dataset:
 def demo_path() -> Path:
     """Find the built-in demo dataset, in an installed package or in a checkout.
 
-    Returns:
-        The folder of the dataset.
-
     Raises:
         InputError: If neither has it, because the installation is incomplete.
     """

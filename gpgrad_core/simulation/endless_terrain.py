@@ -66,12 +66,10 @@ class Fractal:
 
     @property
     def cell(self) -> float:
-        """Side of a cell of a patch [m]."""
         return self.coarseness * RESOLUTION
 
     @property
     def cells_a_square(self) -> int:
-        """Number of cells along a side of a square."""
         return int(np.ceil(max(SPREAD * self.largest, LEAST_SQUARE) / self.cell))
 
     def window(self, low: tuple[int, int], shape: tuple[int, int]) -> Float[Array, "rows columns"]:

@@ -48,7 +48,6 @@ class Track:
 
     @property
     def length(self) -> float:
-        """Length of the whole drive [m]."""
         return STEP * (len(self.xy) - 1)
 
     def between(self, distance: float) -> SE2:

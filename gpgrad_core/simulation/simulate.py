@@ -21,12 +21,7 @@ from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.simulation.endless_terrain import EndlessGround
-from gpgrad_core.simulation.params import (
-    ODOMETRY_STREAM,
-    SUBMAP_STREAM,
-    SimulationParams,
-    stream,
-)
+from gpgrad_core.simulation.params import ODOMETRY_STREAM, SUBMAP_STREAM, SimulationParams, stream
 from gpgrad_core.simulation.routes import STEP, Track, plan_track
 from gpgrad_core.simulation.rover import scan
 from gpgrad_core.simulation.terrain import ROWS, ElevationModel, HeightField, make_ground

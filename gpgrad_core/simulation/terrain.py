@@ -260,7 +260,6 @@ class Crater:
 
     @classmethod
     def draw(cls, rng: Generator, diameter: float, side: float) -> "Crater":
-        """Draw a crater in a square between 0 and its side [m]."""
         centre = rng.uniform(0.0, side, 2)
         freshness = rng.uniform(0.35, 1.0)
         wobble = rng.normal(0.0, 0.05, 4)

@@ -1,18 +1,7 @@
 from .anchoring import AnchorModel, AnchorParams, anchor_graph
-from .coordinates import (
-    MapCoordinates,
-    find_coordinates,
-    georeference_on,
-    read_anchor,
-    write_track,
-)
+from .coordinates import MapCoordinates, find_coordinates, georeference_on, read_anchor, write_track
 from .drive import Drive, write_run
-from .errors import (
-    HeightDifferences,
-    TrajectoryError,
-    measure_consistency,
-    trajectory_error,
-)
+from .errors import HeightDifferences, TrajectoryError, measure_consistency, trajectory_error
 from .graph import (
     Edge,
     GraphParams,

@@ -21,14 +21,7 @@ from gpgrad_core.errors import InputError, count
 from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.rasters import Elevations
-from gpgrad_core.locating import (
-    Location,
-    Window,
-    cut_windows,
-    locate,
-    parameters_for,
-    width_of,
-)
+from gpgrad_core.locating import Location, Window, cut_windows, locate, parameters_for, width_of
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run import Progress, part, silent
@@ -143,7 +136,6 @@ class ThinnedGround:
 
     @property
     def middle(self) -> Float[Array, "3"]:
-        """Mean of the points."""
         return self.points.mean(axis=0)
 
 
@@ -217,9 +209,7 @@ def look_up(
     their places, which is the cell's own height where the submap covers the cell. On a slope, the
     height tells of the place too. So the slope is that between points as far away as the submap may
     be by the covariance (2, 2) [m²] of the pose's x and y, and what a plane cannot hold is noise.
-
-    Returns:
-        None if the model has no height there.
+    It gives None if the model has no height there.
     """
     points = pose.apply(ground.points)
     cells = np.round((points[:, :2] - model.elevations.corner) / model.elevations.cell)

@@ -44,9 +44,6 @@ def read_anchor(
     """Read an elevation model, and find out where the drive starts on it.
 
     The start is a text of easting, northing [m] and yaw [rad], or follows from the drive's origin.
-
-    Raises:
-        InputError: If the model or an option cannot be used.
     """
     if std is not None and not 0 < std <= MOST_STD:
         raise InputError(f"--anchor-std must be above 0 and at most {MOST_STD:g} m, got {std:g}")

@@ -64,9 +64,6 @@ def trajectory_error(
         positions_only: Whether the true poses have positions only, and their headings must not be
             used; see `Dataset.positions_only`.
 
-    Returns:
-        The absolute and relative errors.
-
     Raises:
         InputError: If fewer than two submaps have both.
     """

@@ -403,5 +403,4 @@ class LoopCloser:
         return self._poses[last.id] @ last.pose_odometry.inverse() @ odometry
 
     def _centre(self, submap: Submap) -> Float[Array, "3"]:
-        """Where the centre of an earlier submap is in the current estimate [m]."""
         return shifted(self._poses[submap.id], submap.centre).translation

@@ -16,12 +16,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import voxel_means
-from gpgrad_core.mapping.gradient_map import (
-    TerrainParams,
-    fit_terrain,
-    sample_rows,
-    signal_std_of,
-)
+from gpgrad_core.mapping.gradient_map import TerrainParams, fit_terrain, sample_rows, signal_std_of
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose

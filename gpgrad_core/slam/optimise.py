@@ -284,9 +284,7 @@ def optimise_onward(
 ) -> OptimisedGraph | None:
     """Solve a graph that has grown since its last solution; None if all must be weighed anew.
 
-    It is quick, and nearly the same as `optimise_pose_graph`: each new submap starts where odometry
-    leads from the last solution. It is None if a new closure contradicts that solution, or if that
-    one doubts odometry.
+    That is so if a new closure contradicts the solution, or if that one doubts odometry.
     """
     params, graph = params or SolverParams(), problem.graph
     entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
@@ -399,9 +397,8 @@ def measure_pose_covariances(
     """Measure how certain the poses of a solved graph are, by what was used.
 
     The covariance is that of the x, y, z [m] of each submap's centre and its small rotation about
-    x, y, z [rad] in the world, in that order. It is relative to the first submap's pose; or to the
-    world if the graph has anchors. Names of None measure all, in the graph's order; some take a
-    third of the time that GTSAM's marginals take, and differ by no more than rounding.
+    x, y, z [rad] in the world, relative to the first submap's pose, or to the world if the graph
+    has anchors. Names of None measure all; some take a third of the time of GTSAM's marginals.
     """
     problem = graph if isinstance(graph, Problem) else Problem(graph)
     if result.height_doubted and result.height_drift is not None:

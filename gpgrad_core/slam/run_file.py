@@ -294,7 +294,6 @@ class _Settled(Struct, tag="settled"):
 
 
 def _solution_of(moment: Moment) -> dict[str, Any]:
-    """Write where a moment puts the submaps."""
     return {
         "submap": moment.submap_id,
         "rejected": list(moment.rejected),
@@ -305,7 +304,6 @@ def _solution_of(moment: Moment) -> dict[str, Any]:
 
 
 def _solution(entry: _Moment | _Settled, count: int, where: str) -> dict[str, Any]:
-    """Read where an entry puts the submaps."""
     return {
         "rejected": tuple(entry.rejected),
         "places": _matrix(entry.places, count, (7,), where),

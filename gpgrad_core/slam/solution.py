@@ -70,7 +70,6 @@ class Solution:
 
     @property
     def before(self) -> dict[str, Pose]:
-        """The odometry's poses, all in the first dataset's frame, or in the model's."""
         return self.placed.graph.poses
 
     def shown(self, poses: Mapping[str, Pose]) -> Mapping[str, Pose]:

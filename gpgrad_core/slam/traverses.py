@@ -60,7 +60,6 @@ class JoinedDatasets:
             yield k, submap
 
     def keeping(self, ids: Collection[str]) -> "JoinedDatasets":
-        """The datasets with these submaps only."""
         outline = self.outline
         numbers = [k for k, submap in enumerate(outline.dataset.submaps) if submap.id in ids]
         submaps = tuple(outline.dataset.submaps[k] for k in numbers)

@@ -347,7 +347,6 @@ def _mark_origin(panel: Axes, submap: Submap, pose: SE2, colour: str | None) -> 
 
 
 def _beside(query: Grid, database: Grid) -> Grid:
-    """Move the database's grid beside the query's."""
     gap = 0.08 * float(np.ptp(query.x))
     x = query.x[-1] + gap
     y = database.origin[1] + query.y.mean() - database.y.mean()

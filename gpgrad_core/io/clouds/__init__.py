@@ -50,9 +50,6 @@ def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
         path: The file; its name without the ending becomes the submap's id.
         ground: Whether to leave out what stands on the ground; see `Submap.from_points`.
 
-    Returns:
-        The submap, with points in metres.
-
     Raises:
         InputError: If the file is missing or broken, has an unknown ending, or holds no terrain.
     """

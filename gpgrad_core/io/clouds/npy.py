@@ -19,13 +19,7 @@ import numpy as np
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-    Points,
-    as_floats,
-    grows_too_much,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points, as_floats, grows_too_much
 from gpgrad_core.reading.files import (
     check_regular,
     open_regular,

@@ -308,11 +308,7 @@ def write_ply(
     colors: Float[Array, "n 3"] | None = None,
     extras: Mapping[str, Float[Array, "n"]] | None = None,
 ) -> None:
-    """Write points as a little-endian binary PLY.
-
-    Positions are float32 if that is precise to a tenth of a millimetre, otherwise double. Colours
-    in [0, 1] are written with eight bits each, and further numbers of each point as float32.
-    """
+    """Write a binary PLY, in float32 where that is precise to a tenth of a millimetre."""
     extras = extras or {}
     wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
     kind, dtype = ("double", "<f8") if wide else ("float", "<f4")

@@ -75,17 +75,8 @@ LEFT_OUT = ("overlap_middle", "decision", "images", "mean_dissimilarity", "conte
 AS_THEY_ARE = ("dataset", "method", "seed", "params", "versions", "seconds")
 """What a report and its file have alike."""
 COLUMNS = (
-    "query",
-    "database",
-    "accepted",
-    "score",
-    "num_inliers",
-    "overlap_area_m2",
-    "dissimilarity",
-    "x_m",
-    "y_m",
-    "yaw_rad",
-    "reason",
+    *("query", "database", "accepted", "score", "num_inliers", "overlap_area_m2"),
+    *("dissimilarity", "x_m", "y_m", "yaw_rad", "reason"),
 )
 """Of ``closures.csv``."""
 
@@ -166,9 +157,6 @@ def report_closures(
         method: The name of the method.
         sources: Where the submaps were loaded from, if the dataset does not have their points.
         decisions: What a person decided, by (query id, database id).
-
-    Returns:
-        The content of ``closures.json``, with the pairs that the result has.
     """
     params = result.params or params
     return ClosureReport(
@@ -315,9 +303,6 @@ def read_closures(path: Path | str) -> ClosureReport:
 
     Args:
         path: The file; any tool may have written it in the same format.
-
-    Returns:
-        Its content; its pairs are loop closures as the thresholds judged them.
 
     Raises:
         InputError: If the file is not JSON, or a value is missing or is none that it can be; the
@@ -497,7 +482,6 @@ class ClosureWriter:
         self._rows.close()
 
     def add(self, closure: LoopClosure) -> None:
-        """Add the verdict on a pair."""
         self.add_row(row_of(rounded(closure)))
 
     def add_row(self, row: Mapping[str, object]) -> None:

@@ -11,6 +11,7 @@ import tomli_w
 from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.display import shaded
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.mapping.fitting import FitResult, fitted_names
@@ -177,7 +178,14 @@ def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0
     steepest = float(np.quantile(gradient[shown], 0.99)) or 1.0
     slopes = (-steepest, steepest), cv2.COLORMAP_TWILIGHT_SHIFTED, shown
     panels = [
-        _draw("shaded relief", "", _shade(gradient_map), (0.0, 1.0), None, shown),
+        _draw(
+            "shaded relief",
+            "",
+            shaded(gradient_map.slope).astype(np.float64),
+            (0.0, 1.0),
+            None,
+            shown,
+        ),
         _draw("elevation", "m", elevation, (low, high), cv2.COLORMAP_VIRIDIS, shown),
         _draw("standard deviation", "m", std, (0.0, float(std.max())), cv2.COLORMAP_CIVIDIS),
         _draw("gradient", "m/m", gradient, (0.0, steepest), cv2.COLORMAP_MAGMA, shown),
@@ -195,14 +203,6 @@ def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0
     header = np.full((HEADER + MARGIN, body.shape[1], 3), PAPER, np.uint8)
     _write(header, title, (MARGIN, HEADER), 0.55)
     return np.vstack([header, body])
-
-
-def _shade(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
-    """Light the terrain from the north-west, 45 degrees high, as on paper maps."""
-    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
-    light = np.array([-1.0, 1.0, np.sqrt(2.0)]) / 2.0
-    facing = light[2] - slope_x * light[0] - slope_y * light[1]
-    return facing / np.sqrt(1.0 + gradient_map.gradient**2)
 
 
 def _draw(

@@ -16,14 +16,7 @@ import gpgrad_core as gg
 import gpgrad_core.live.server
 from gpgrad_core.io.poses import read_poses
 from gpgrad_core.live.follower import Follower
-from gpgrad_core.live.frames import (
-    LARGEST_FRAME,
-    LENGTH,
-    Corrected,
-    Hello,
-    frame_of,
-    submitted,
-)
+from gpgrad_core.live.frames import LARGEST_FRAME, LENGTH, Corrected, Hello, frame_of, submitted
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.server import MOST_ROBOTS, Server
 from gpgrad_core.live.source import Arrival, Source

@@ -11,14 +11,7 @@ import pytest
 
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run import folders
-from gpgrad_core.run.folders import (
-    MARK,
-    NameLock,
-    TemporaryFolder,
-    naming,
-    staging,
-    whole_folder,
-)
+from gpgrad_core.run.folders import MARK, NameLock, TemporaryFolder, naming, staging, whole_folder
 from gpgrad_core.run.store import Store
 from tests.support.refusal import assert_refused
 

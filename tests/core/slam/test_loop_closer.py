@@ -8,13 +8,7 @@ import pytest
 from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Cancelled
-from gpgrad_core.slam import (
-    Drive,
-    LoopCloser,
-    build_pose_graph,
-    optimise_pose_graph,
-    verdicts_at,
-)
+from gpgrad_core.slam import Drive, LoopCloser, build_pose_graph, optimise_pose_graph, verdicts_at
 from gpgrad_core.types import LoopClosure
 from tests.core.slam.simulated import Oracle, simulate
 from tests.support.cancelling import cancelling

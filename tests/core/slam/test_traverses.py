@@ -9,12 +9,7 @@ import pytest
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.slam import (
-    JoinedDatasets,
-    join_datasets,
-    solve_datasets,
-    trajectory_error,
-)
+from gpgrad_core.slam import JoinedDatasets, join_datasets, solve_datasets, trajectory_error
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.slam.simulated import Traverse, simulate
 
