@@ -20,7 +20,7 @@ from app.viewer.scene.cameras import Animation, blend, ease, play, set_view, vie
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.keyframes import Keyframe
-from app.viewer.session.state import NEEDS_TWO, ViewOptions, ViewState
+from app.viewer.session.state import NEEDS_TWO, ViewOptions, ViewState, registered
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Cancelled, Progress
@@ -59,7 +59,9 @@ class Story:
         self._lock = threading.RLock()  # a change of the view may end it
         self._at: Ask | None = None
         self._before: ViewOptions | None = None
-        self.worker = Lane[Ask, None](desk.jobs, self._run, lambda _a, _n, _s: None, self._failed)
+        self.worker = Lane[Ask | None, None](
+            desk.jobs, self._run, lambda _a, _n, _s: None, self._failed
+        )
         self._on_error = on_error
 
     @property
@@ -79,6 +81,11 @@ class Story:
         self._pair.scale_labels(LARGE)
         self._go(Ask(0, going=True))
 
+    def fly_once(self) -> None:
+        """Fly the query onto the database as a step does, beside the panels."""
+        self._check()
+        self.worker.submit(None)
+
     def rest(self) -> None:
         """Pause, or go on from the same step; does nothing while no story runs."""
         if self._at is not None:
@@ -92,7 +99,7 @@ class Story:
     def end(self) -> None:
         with self._lock:
             before, self._before, self._at = self._before, None, None
-        self.worker.cancel()
+            self.worker.cancel()
         if before is not None:
             self._tell({"title": ""})
             self._pair.scale_labels(1.0)
@@ -113,12 +120,23 @@ class Story:
         self._at = ask
         self.worker.submit(ask)
 
-    def _failed(self, _ask: Ask, error: Exception) -> None:
-        self._modes.set_full_screen(False)
-        self.end()
+    def _failed(self, ask: Ask | None, error: Exception) -> None:
+        if ask is not None:
+            self._modes.set_full_screen(False)
+            self.end()
         self._on_error(error)
 
-    def _run(self, ask: Ask, progress: Progress) -> None:
+    def _run(self, ask: Ask | None, progress: Progress) -> None:
+        if ask is None:
+            together = Keyframe("", "", registered(self._desk.state.options))
+            apart = replace(together, options=replace(together.options, layout="side by side"))
+            for frame in (apart, together):
+                moving = replace(self._enter(frame, progress), rest=0.0)
+                shown = self._latest()
+                if shown is not None and shown[1].registration.T_database_query is None:
+                    raise InputError("No motion was found for this pair.")
+                play(moving, lambda _: progress(0.0))
+            return
         while True:
             steps = self.steps()
             step = steps[ask.step % len(steps)]
@@ -166,8 +184,7 @@ class Story:
 
     def _picture(self, progress: Progress, options: ViewOptions) -> PairResult:
         with self._lock:
-            if self._at is None:  # it has been ended, and the view is as it was before
-                raise Cancelled
+            progress(0.0)  # if it has been ended, the view is as it was before
             if options.layout != self._desk.state.options.layout:
                 self._cameras.keep_cameras()
             self._desk.update(
@@ -179,7 +196,8 @@ class Story:
         while True:
             progress(0.0)
             shown = self._latest()
-            assert shown is not None
+            if shown is None:  # another dataset was opened
+                raise Cancelled
             if shown[0] is self._desk.state or time.monotonic() > until:
                 return shown[1]
             time.sleep(0.02)

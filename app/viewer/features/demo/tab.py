@@ -1,6 +1,6 @@
 """The Demo tab: views, motion, full screen, and pages to take away."""
 
-import threading
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Literal, TypeAlias, get_args
@@ -10,7 +10,6 @@ import viser
 
 from app.viewer.features.demo.film import FILMS, SLIDES, write_steps
 from app.viewer.features.demo.pages import write_story, write_world
-from app.viewer.features.demo.steps import MOTION_SECONDS
 from app.viewer.features.demo.story import Story
 from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.features.pair import PairScene
@@ -31,7 +30,7 @@ from app.viewer.scene.cameras import (
 from app.viewer.session.jobs import Lane
 from app.viewer.session.keyframes import MOST_KEYFRAMES, MOST_LETTERS, Keyframe
 from app.viewer.session.news import PairNews, PairShown, SessionState, Subject, SubmapShown
-from app.viewer.session.state import NEEDS_TWO, Camera, registered
+from app.viewer.session.state import NEEDS_TWO, Camera
 from app.viewer.widgets.actions import (
     on_choice,
     on_choice_by,
@@ -66,11 +65,9 @@ class DemoTab(Feature):
         modes: ModeSwitch,
         cameras: Cameras,
     ) -> None:
-        self._desk, self._modes, self._cameras = desk, modes, cameras
+        self._desk, self._modes = desk, modes
         self._pair, self._world = pair, world
-        self._lock = threading.Lock()
         self.shown: PairShown | None = None
-        self._playing = False  # as soon as the pair is shown registered
         gui = desk.host.gui
         subject = gui.add_button_group(
             "Show", SUBJECTS, hint="Show the two submaps chosen in Tune, or all submaps."
@@ -127,19 +124,13 @@ class DemoTab(Feature):
         on_option_by(edits, self._edit)
         on_press(full, lambda: modes.set_full_screen(True))
         on_press_by(page, self._order)
-
-        @acts.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            self._play(event.client, one_of(PLAYABLE, event.target.value))
+        on_option(acts, lambda label: self._play(one_of(PLAYABLE, label)))
 
         def fail(error: Exception) -> None:
             self._bar.failed(message_of(error))
 
-        self._player, self._pilot = (
-            Lane[Animation, None](
-                desk.jobs, play, lambda _a, _n, _s: None, lambda _, error: fail(error)
-            )
-            for _ in ("closure", "camera")
+        self._pilot = Lane[Animation, None](
+            desk.jobs, play, lambda _a, _n, _s: None, lambda _, error: fail(error)
         )
         self._downloads = Downloads(desk.jobs, self._bar, desk.capacity.long)
         self.story = Story(desk, pair, world, modes, cameras, lambda: self.shown, fail)
@@ -228,10 +219,15 @@ class DemoTab(Feature):
                 self._to(client, frame.camera)
 
     def _present(self) -> None:
+        self._try(self.story.begin)
+
+    def _try(self, act: Callable[[], None]) -> None:
         try:
-            self.story.begin()
+            act()
         except InputError as error:
             self._bar.failed(str(error))
+        else:
+            self._bar.idle()
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """End the story when the panels are back."""
@@ -241,48 +237,23 @@ class DemoTab(Feature):
             self._list()
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Store the pair that is shown, and play it if a user requested that; or forget it."""
+        """Store the pair that is shown, or forget it."""
         if isinstance(news, SubmapShown):
-            with self._lock:
-                self.shown, self._playing = None, False
-        if not isinstance(news, PairShown):
-            return
-        with self._lock:
+            self.shown = None
+        elif isinstance(news, PairShown):
             self.shown = news
-            playing = self._playing and news.state.options.layout == "registered"
-            self._playing = self._playing and not playing
-        if self.story.told is None:
-            self._list()
-        if playing:
-            draw = self._pair.gliding(*news)
-            if draw is None:
-                self._bar.failed("No motion was found for this pair.")
-                return
-            self._bar.idle()
-            self._player.submit(
-                Animation(MOTION_SECONDS["flight"], lambda share: draw(ease(share)))
-            )
+            if self.story.told is None:
+                self._list()
 
-    def _play(self, client: viser.ClientHandle | None, playable: Playable) -> None:
-        if playable == "pose graph":
-            if self._world.graph is None:
-                self._bar.failed("Optimise the pose graph in Explore first.")
-                return
+    def _play(self, playable: Playable) -> None:
+        if playable == "closure":
+            self._try(self.story.fly_once)
+        elif self._world.graph is None:
+            self._bar.failed("Optimise the pose graph in Explore first.")
+        else:
             self._bar.idle()
             self._modes.turn_to("world")
             self._world.relax()
-            return
-        if not self._desk.state.is_pair:
-            self._bar.failed(NEEDS_TWO)
-            return
-        self._modes.turn_to("pair")
-        if client is not None:
-            # Both while they are apart; where they come together is in the middle of that.
-            canvas = self._desk.canvases.of(client)
-            self._to(client, self._pair.camera(self._desk.state, canvas, layout="side by side"))
-            self._cameras.keep_cameras()
-        self._playing = True
-        self._desk.change(options=registered(self._desk.state.options))
 
     # Cameras.
 

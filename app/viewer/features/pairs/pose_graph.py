@@ -180,6 +180,7 @@ class PoseGraphTab(Feature):
         if pairs.fraction is not None:
             self._bar.running("Comparing all pairs", pairs.fraction, PHASES)
         elif before.fraction is not None:
+            self._waits &= not pairs.message  # for nothing, if it was cancelled or failed
             self._bar.done(pairs.message)
 
     @property

@@ -112,7 +112,8 @@ def session(
 ) -> Session:
     """The shared session with another graph, and what moves arrives at once."""
     pipeline.make = make_true_result
-    monkeypatch.setitem(MOTION_SECONDS, "flight", 0.02)
+    for motion in MOTION_SECONDS:
+        monkeypatch.setitem(MOTION_SECONDS, motion, 0.02)
     monkeypatch.setattr(explore_module, "RELAXING_SECONDS", 0.02)
     server, session = shared
     user_sets(find(server, "Mode"), "Tune")
@@ -359,6 +360,19 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
     assert [closure.accepted for closure in session.desk.closures] == [True, True, False]
     assert "optimise again" not in said(host_of(session), "graph-summary")
     assert find(host_of(session), "Undo decision").disabled
+
+
+def test_what_was_cancelled_is_not_optimised_later(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go(session, "Explore")
+    monkeypatch.setitem(vars(graph(session)), "_find_closures", lambda: None)
+    user_presses(find(host_of(session), "Optimise"))
+    session.desk.update_pairs(lambda pairs: pairs._replace(fraction=0.5))
+    session.desk.update_pairs(lambda pairs: pairs._replace(fraction=None, message="Cancelled."))
+    judge(session.desk, CLOSURES)
+    assert session.wait_idle(120)
+    assert graph(session).graph is None
 
 
 def test_another_dataset_has_another_graph(session: Session) -> None:

@@ -1,5 +1,4 @@
 import threading
-import time
 from bisect import bisect
 
 import pytest
@@ -19,7 +18,9 @@ from app.viewer.session.jobs import Lane
 from app.viewer.session.state import ViewState, open_dataset, with_params
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.params import parameters_of, with_path
+from gpgrad_core.run import Progress
 from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
+from tests.support.waiting import until
 
 FIELDS = {field.path: field for field in parameters_of(PipelineParams)}
 START = with_path(with_path(NUMBERS, "map.length_scale", 0.3), "map.noise_std", 0.02)
@@ -140,10 +141,17 @@ def test_no_strip_is_made_while_a_hand_moves_or_others_work(
         lambda _job, _error: None,
     )
     other.submit(None)
+    lane, begun = in_background(tool), list[ViewState]()
+    make = lane.work
+
+    def count_and_make(state: ViewState, progress: Progress) -> None:
+        begun.append(state)
+        make(state, progress)
+
+    lane.work = count_and_make
     desk.release(desk.state.params)
     resolve(desk)
-    time.sleep(0.2)
-    assert in_background(tool).is_busy
+    until(lambda: len(begun) > 2, "strips that give way more than once")
     assert pipeline.calls == []
     work.set()
     assert desk.wait_idle(60)  # which does not wait for strips
