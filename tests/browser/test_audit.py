@@ -10,13 +10,15 @@ RULES = ("wcag2a", "wcag2aa", "wcag21a", "wcag21aa")
 SIZE, PHONE, ZOOMED = (1280, 900), (390, 844), (640, 450)
 """Windows; the last is the first at 200 %."""
 THEMES = "light", "dark"
+CONTRAST = {"color-contrast": {"options": {"contrastRatio": {"large": {"expected": 4.5}}}}}
+"""Large text is held to what small text is."""
 
 
 def audit(page: Any) -> dict[str, list[str]]:
     """Run axe-core; gives what it finds, each with the parts of the page that have it."""
     from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415
 
-    options: Any = {"resultTypes": ["violations"], "runOnly": list(RULES)}
+    options: Any = {"resultTypes": ["violations"], "runOnly": list(RULES), "checks": CONTRAST}
     violations = Axe().run(page, options=options).response["violations"]
     return {rule["id"]: [node["html"][:160] for node in rule["nodes"]] for rule in violations}
 

@@ -92,7 +92,9 @@ class ProtocolPage:
         self.widgets: dict[str, dict[str, Any]] = {}  # by uuid
         self.nodes: dict[str, dict[str, Any]] = {}  # by name; arrays as their digests
         self.received: list[tuple[float, str]] = []  # when each message came, for latencies
-        self.look_at: list[float] | None = None  # where the server has turned the camera last
+        # Where the server has put the camera last, and where it has turned it.
+        self.looks_from: list[float] | None = None
+        self.look_at: list[float] | None = None
         self.num_bytes = 0
         self.socket = connect(
             url.replace("http", "ws") + path,
@@ -203,6 +205,8 @@ class ProtocolPage:
             self.nodes[message["name"]].update(message["updates"])
             for name in message["updates"]:
                 self.received.append((time.monotonic(), f"{message['name']}.{name}"))
+        elif kind == "SetCameraPositionMessage" and not message["initial"]:
+            self.looks_from = list(message["position"])
         elif kind == "SetCameraLookAtMessage" and not message["initial"]:
             self.look_at = list(message["look_at"])
         elif kind == "RemoveSceneNodeMessage":

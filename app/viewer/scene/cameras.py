@@ -93,6 +93,7 @@ def set_view(client: viser.ClientHandle, camera: Camera) -> None:
         _aim(client.camera, camera)
         # A new position takes the point that is looked at along. If the page reports just then that
         # it looks where it should, from a view before, viser has nothing to set and sends nothing.
+        send_to(client, messages.SetCameraPositionMessage(camera.position))
         send_to(client, messages.SetCameraLookAtMessage(camera.look_at))
     client.flush()
 

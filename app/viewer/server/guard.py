@@ -49,7 +49,7 @@ from app.viewer.server.internals import (
 )
 from app.viewer.server.limits import CoalescingQueue, Limits, RoundRobin
 from app.viewer.server.uploads import Unfinished, Uploads
-from app.viewer.web import fill_page_file
+from app.viewer.web import dress, fill_page_file
 
 _starting = threading.Lock()
 
@@ -366,8 +366,7 @@ def _is_worth_saying(record: logging.LogRecord) -> bool:
 # follows `?`. A socket's address may have no `#`, so a page that was opened with one and without
 # the other never connects. And as the client starts it writes the page's address anew, at times
 # without that part, which our links need. Its labels suit no dark page, and its page is white
-# until its server has set it. So scripts and colours stand before all others; our style
-# sheet stands in the body, because viser's is put at the end of the head.
+# until its server has set it. So scripts and colours stand before all others.
 
 
 SCRIPTS = ("keep_hash.js", "labels.js", "theme.js", "notice.js")
@@ -384,11 +383,6 @@ def _add_scripts(response: Response, title: str) -> None:
 
 @functools.lru_cache(maxsize=2)  # as it is, and zipped
 def _with_scripts(body: bytes, title: str, *, zipped: bool) -> bytes:
-    page = gzip.decompress(body) if zipped else body
-    scripts = "".join(f"<script>{fill_page_file(name)}</script>" for name in SCRIPTS)
-    head = f"<head><style>{fill_page_file('palette.css')}</style>{scripts}"
-    page = page.replace(b"<head>", head.encode(), 1)
-    styles = f"<body><style>{fill_page_file('look.css')}</style>"
-    styles += fill_page_file("opening.html", NAME=escape(title)) if title else ""
-    page = styles.encode().join(page.rsplit(b"<body>", 1))
+    opening = fill_page_file("opening.html", NAME=escape(title)) if title else ""
+    page = dress((gzip.decompress(body) if zipped else body).decode(), SCRIPTS, opening).encode()
     return gzip.compress(page) if zipped else page

@@ -6,6 +6,7 @@ What they depend on in viser's own pages stands in ``viser.toml``.
 import json
 import re
 import tomllib
+from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 
@@ -36,3 +37,15 @@ def fill_page_file(name: str, **values: object) -> str:
         return json.dumps(value) if name.endswith(".js") else str(value)
 
     return re.sub(r"\b[A-Z][A-Z_]+\b", fill, _read(name))
+
+
+def dress(page: str, scripts: Iterable[str], body: str = "") -> str:
+    """Insert our colours, scripts and styles into a page of viser's, and HTML before its content.
+
+    Colours and scripts stand before all of viser's; our style sheet stands in the body, because
+    viser's is put at the end of the head.
+    """
+    head = "".join(f"<script>{fill_page_file(name)}</script>" for name in scripts)
+    page = page.replace("<head>", f"<head><style>{fill_page_file('palette.css')}</style>{head}", 1)
+    start, end = page.rsplit("<body>", 1)
+    return f"{start}<body><style>{fill_page_file('look.css')}</style>{body}{end}"

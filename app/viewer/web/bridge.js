@@ -1,6 +1,7 @@
 // `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
 // `acts` are what scripts of ours do when Python calls them by name; see `Bridge.call`. Of these,
-// `heard` is Python's answer.
+// `heard` is Python's answer. `make` adds an element to a page, `place` is where an event is in a
+// drawing, and `copy` puts a text onto the clipboard.
 (box => {
   if (!window.gpgrad) {
     const waiting = [];
@@ -32,6 +33,24 @@
           said = null;
           send();
         },
+      },
+      make(parent, tag, style, values = {}) {
+        const made = document.createElement(tag);
+        made.style.cssText = style;
+        for (const name in values) made.setAttribute(name, values[name]);
+        return parent.appendChild(made);
+      },
+      place: (svg, {clientX, clientY}) =>
+        new DOMPoint(clientX, clientY).matrixTransform(svg.getScreenCTM().inverse()),
+      copy(text, done) {
+        const by_box = () => {
+          const box = document.createElement('textarea');
+          box.value = text; document.body.appendChild(box); box.select();
+          const copied = document.execCommand('copy');
+          box.remove(); done(copied);
+        };
+        if (!navigator.clipboard) by_box();
+        else navigator.clipboard.writeText(text).then(() => done(true), by_box);
       },
       told: {},
       hear(name, data) { if (window.gpgrad.acts[name]) window.gpgrad.acts[name](data); },

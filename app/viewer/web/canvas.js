@@ -5,11 +5,7 @@
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   if (window.gpgradCanvas) { window.gpgradCanvas.last = ''; return; }
   const own = window.gpgradCanvas = {last: '', height: 0, left: 0, top: 0, below: 0};
-  const make = (parent, style, tag = 'div') => {
-    const made = document.createElement(tag);
-    made.style.cssText = style;
-    return parent.appendChild(made);
-  };
+  const make = (parent, style, values) => gpgrad.make(parent, 'div', style, values);
   const ground = 'background:color-mix(in srgb,var(--gg-bg) 78%,transparent);' +
     'border-radius:.35em;padding:.15em .55em;';
   // Where a caption of the scene may lie behind it, only the letters have a ground.
@@ -220,14 +216,16 @@
     // The picture stands above the legend. That is nearly as wide on a phone, and above the row of the
     // scale; else it shares that row, which the picture leaves free anyway.
     const narrow = box.width - found.left - found.right < 600;
-    const remark = legend.querySelector('[data-remark]');
     const high = box.height - found.top - found.bottom;
-    if (remark) remark.style.display = high < 450 ? 'none' : '';
-    const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
+    for (const part of legend.querySelectorAll('[data-remark],[data-testid=a-b]'))
+      part.style.display = high < 450 ? 'none' : '';
     legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
+    // Where the legend is as wide as the row of scale and axes; these are higher.
+    const over_axes = legend.offsetLeft + legend.offsetWidth / 2 > frame.offsetLeft - 8;
+    const lift = narrow && high >= 450 ? over_axes ? 56 : 40 : 0;
     // In a narrow and low canvas only the colour bar stands beside the scale, and words above it.
     const beside = 2 * (scale.offsetLeft + scale.offsetWidth + 8);
-    legend.style.setProperty('--bar', narrow && !lift ? over.clientWidth - beside + 'px' : '100%');
+    legend.style.setProperty('--bar', narrow && !lift && !document.body.dataset.story ? over.clientWidth - beside + 'px' : '100%');
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
     const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;

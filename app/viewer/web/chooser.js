@@ -4,12 +4,7 @@
   const over = window.gpgrad && document.querySelector('[data-testid=over-canvas]');
   if (!over) { setTimeout(run, 50); return; }  // the scripts of the canvas may come later
   if (gpgrad.acts.pair) { gpgrad.say('pair', {act: 'here'}); return; }
-  const make = (parent, tag, style, values = {}) => {
-    const made = document.createElement(tag);
-    made.style.cssText = style;
-    for (const name in values) made.setAttribute(name, values[name]);
-    return parent.appendChild(made);
-  };
+  const {make} = gpgrad;
   const ground = 'background:color-mix(in srgb,var(--mantine-color-body) 94%,transparent);' +
     'border:1px solid rgba(128,128,128,.45);pointer-events:auto;';
   const bare = 'all:unset;box-sizing:border-box;cursor:pointer;';

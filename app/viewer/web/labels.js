@@ -3,7 +3,7 @@
 {
   const SHADES = [
     ['vec4(0.0, 0.0, 0.0, a)', 'vec4(vec3(0.93 * onDark), a)'],  // letters
-    ['vec4(1.0, 1.0, 1.0, 0.85 * vAlpha)', 'vec4(vec3(1.0 - 0.87 * onDark), 0.85 * vAlpha)'],
+    ['vec4(1.0, 1.0, 1.0, 0.85 * vAlpha)', 'vec4(vec3(1.0 - 0.95 * onDark), 0.85 * vAlpha)'],
   ];
   const context = WebGL2RenderingContext.prototype;
   const {shaderSource, useProgram} = context;

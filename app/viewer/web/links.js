@@ -26,15 +26,7 @@
     link() { return own.text ? location.origin + location.pathname + '#' + own.text : ''; },
     copy(done) {
       const link = own.link();
-      if (!link) { done(false); return; }
-      const by_box = () => {
-        const box = document.createElement('textarea');
-        box.value = link; document.body.appendChild(box); box.select();
-        const copied = document.execCommand('copy');
-        box.remove(); done(copied);
-      };
-      if (!navigator.clipboard) by_box();
-      else navigator.clipboard.writeText(link).then(() => done(true), by_box);
+      if (link) gpgrad.copy(link, done); else done(false);
     },
     copyBy(button) {
       own.copy(done => {

@@ -3,10 +3,8 @@
 // That one lies beside what the canvas shows: the wheel enlarges it, and a drag moves it.
 window.gpgradMatrix = window.gpgradMatrix || {
   ASKED: '…',  // what a cell holds, until the server says it
-  at: (svg, event) =>
-    new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse()),
   cell(svg, event) {
-    const at = this.at(svg, event), d = svg.dataset;
+    const at = gpgrad.place(svg, event), d = svg.dataset;
     return this.read(svg, Math.floor((at.y - d.top) / d.side), Math.floor((at.x - d.left) / d.side));
   },
   read(svg, row, column) {
@@ -69,7 +67,7 @@ window.gpgradMatrix = window.gpgradMatrix || {
   },
   zoom(svg, event) {
     event.preventDefault();
-    const {x, y, width, height} = svg.viewBox.baseVal, at = this.at(svg, event);
+    const {x, y, width, height} = svg.viewBox.baseVal, at = gpgrad.place(svg, event);
     const least = Math.min(8 * svg.dataset.side / svg.whole.width, 1);
     const share = Math.min(Math.max(width / svg.whole.width * 1.0015 ** event.deltaY, least), 1);
     const by = share * svg.whole.width / width;

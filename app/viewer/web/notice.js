@@ -10,7 +10,7 @@
     const line = document.createElement('div'), close = document.createElement('button');
     line.dataset.testid = 'no-graphics-card';
     line.append('Drawn without a graphics card, so slower. ', close);
-    line.style.cssText = 'position:fixed;right:16px;bottom:12px;color:var(--gg-dim);font-size:12px';
+    line.style.cssText = 'position:fixed;right:16px;bottom:24px;color:var(--gg-dim);font-size:12px';
     close.textContent = '×';
     close.setAttribute('aria-label', 'Dismiss');
     close.style.cssText = 'font:inherit;color:inherit;background:none;border:0;cursor:pointer;' +

@@ -3,8 +3,6 @@
 (() => {
   const state = window.gpgradScore = window.gpgradScore ||
     {value: null, dragging: null, sent: null, until: 0};
-  const placeOf = (svg, event) => new DOMPoint(event.clientX, event.clientY)
-    .matrixTransform(svg.getScreenCTM().inverse());
   state.say = value => {
     state.value = state.sent = value;
     state.until = Date.now() + 2000;
@@ -47,7 +45,7 @@
     const svg = document.querySelector('[data-scores]');
     if (!svg) return;
     const d = svg.dataset, points = svg.points || (svg.points = JSON.parse(d.points));
-    const at = placeOf(svg, event);
+    const at = gpgrad.place(svg, event);
     let value = (at.x - d.left) / d.span * d.high;
     if (state.dragging === 'curve' && points.length)
       value = points.reduce((a, b) => Math.abs(b[1] - at.x) < Math.abs(a[1] - at.x) ? b : a)[0];
@@ -58,7 +56,7 @@
   };
   state.grab = event => {
     const svg = event.currentTarget;
-    const at = placeOf(svg, event);
+    const at = gpgrad.place(svg, event);
     state.dragging = at.y > +svg.dataset.curve ? 'curve' : 'bars';
     event.preventDefault();
     svg.focus({preventScroll: true});
@@ -86,7 +84,7 @@
   };
   // The marks of the pairs that are wrong or missed.
   const markAt = (svg, event) => {
-    const at = placeOf(svg, event);
+    const at = gpgrad.place(svg, event);
     const marks = svg.marks || (svg.marks = JSON.parse(svg.dataset.marks));
     let best = null;
     for (const mark of marks)

@@ -7,7 +7,7 @@
   const style = document.head.appendChild(document.createElement('style'));
   // Letters grow with the screen. Words stand at the left of a band at the foot, legend and scale at
   // its right; the camera keeps the picture above it.
-  style.textContent = LOWER_THIRD + `body[data-bare] ${VISER_ROOT} > :not(:has(canvas)){visibility:hidden!important}
+  style.textContent = LOWER_THIRD + `body[data-bare] :is(${VISER_ROOT} > :not(:has(canvas)),${VISER_PANEL}:has([data-testid=mode])){visibility:hidden!important}
 body[data-bare] ${VISER_ROOT} > :has(canvas){inset:0!important}
 body[data-bare] #gpgrad-opening{display:none}
 body[data-bare] [data-testid=over-canvas]{font-size:clamp(13px,1.9vmin,44px)!important}

@@ -4,12 +4,7 @@
   const over = window.gpgrad && document.querySelector('[data-testid=over-canvas]');
   if (!over) { setTimeout(run, 50); return; }  // the scripts of the canvas may come later
   if (gpgrad.acts.timeline) return;
-  const make = (parent, tag, style, values = {}) => {
-    const made = document.createElement(tag);
-    made.style.cssText = style;
-    for (const name in values) made.setAttribute(name, values[name]);
-    return parent.appendChild(made);
-  };
+  const {make} = gpgrad;
   const strip = make(over, 'div', 'position:absolute;left:0;right:0;bottom:var(--gg-gap);height:42px;' +
     'display:none;align-items:center;gap:8px;padding:0 8px;pointer-events:auto;' +
     'background:var(--gg-surface);border:1px solid var(--gg-line);border-radius:12px', {role: 'group', 'aria-label': 'Time line',

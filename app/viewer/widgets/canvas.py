@@ -25,6 +25,9 @@ OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 Pixels: TypeAlias = Annotated[float, Meta(ge=0.0, le=100_000.0)]
 BAND = 0.16
 """Height that the band takes above the usual margin, as a share of the smaller side."""
+PHONE, PHONE_LEGEND = 640.0, 40.0
+"""On a canvas at most so wide, the legend is at the head, and takes so much above the usual margin
+[pixels]."""
 BY_HAND = 0.01
 """A camera that is farther from where it was brought, in distances of what is looked at, was moved
 by hand."""
@@ -79,7 +82,8 @@ class Canvases:
         if not self.presents:
             return canvas
         # Without its panels a page says nothing: how high the words are follows from story.js.
-        return replace(canvas, bottom=BAND * min(canvas.width, canvas.height))
+        bottom, is_phone = BAND * min(canvas.width, canvas.height), canvas.width <= PHONE
+        return replace(canvas, bottom=bottom, top=PHONE_LEGEND if is_phone else canvas.top)
 
     def knows(self, page: viser.ClientHandle) -> bool:
         return self._of(page).canvas is not None

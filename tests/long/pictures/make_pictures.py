@@ -14,7 +14,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import viser
 from PIL import Image
 from playwright.sync_api import Browser
 
@@ -22,6 +21,7 @@ from app.cli import run
 from app.cli.demo import Demo
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.cameras import ease, set_start
+from app.viewer.server.guard import open_server
 from app.viewer.session.following import begin_drive
 from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
@@ -38,6 +38,7 @@ PICTURES = Path(__file__).resolve().parents[3] / "assets" / "pictures"
 SIZE = (1360, 800)
 MAX_BYTES = 300_000
 MAX_FILM_BYTES = 1_500_000
+DRIVE_SIZE = (960, 600)
 FILM_SIZE = (760, 480)
 FILM_CLIP: Any = {"x": 0, "y": 0, "width": 760, "height": 480}
 TALK = ("demo", "apollo15", "marsyard2021", "hillside", "sthelens")
@@ -94,7 +95,7 @@ def film(browser: Browser) -> None:
     )
     registration = replace(result.registration, inliers=np.ones(len(few), dtype=np.bool_))
     result = replace(result, matches=few_matches, registration=registration)
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    server, _ = open_server("127.0.0.1", 0)
     scene = PairScene(server)
     scene.show(state, result)
     draw = scene.gliding(state, result)
@@ -104,7 +105,7 @@ def film(browser: Browser) -> None:
     page = browser.new_page(viewport={"width": width, "height": height})
     page.goto(f"http://127.0.0.1:{server.get_port()}/?fixedDpr=1")
     page.wait_for_timeout(6000)
-    page.add_style_tag(content="[class*=mantine-Paper-root], [class*=Notification] {opacity: 0}")
+    page.add_style_tag(content="[class*=mantine-Paper-root], [data-testid] {opacity: 0}")
     pictures: list[Image.Image] = []
     for k in range(MOMENTS):
         draw(ease(k / (MOMENTS - 1)))
@@ -135,7 +136,8 @@ def write_film(pictures: list[Image.Image], milliseconds: list[int], name: str) 
 def drive(browser: Browser) -> None:
     """Take the drive of ``gpgrad demo``: the map as each submap has come."""
     viewer = Viewer(partial(begin_drive, Demo.seed), port=0, source="a simulated drive")
-    page = MapPage(browser, viewer, size=SIZE)
+    page = MapPage(browser, viewer, size=DRIVE_SIZE)
+    page.key("f")
     strip, time = (page.page.get_by_test_id(name) for name in ("timeline", "time"))
     last = loop_params().num_submaps - 1
     page.wait(lambda: strip.get_attribute("data-at") == str(last), "the end", 600)

@@ -30,7 +30,7 @@ from app.viewer.server.internals import broadcast, messages
 from app.viewer.server.limits import Limits
 from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.state import Camera, ViewState
-from app.viewer.web import fill_page_file
+from app.viewer.web import dress, fill_page_file
 from app.viewer.widgets.canvas import BAND
 from app.viewer.widgets.legend import canvas_legend, marks_legend
 from gpgrad_core.detection import PairResult
@@ -181,7 +181,6 @@ def save_page(
         CAPTION=composed.line,
         LEGEND=composed.legend,
     )
-    inside = page.index(">", page.index("<body")) + 1  # of a page that viser wrote
-    page = page[:inside] + card + page[inside:]
+    page = dress(page, ("labels.js", "notice.js"), card)
     start, end = page.index("<title>"), page.index("</title>")
     path.write_text(f"{page[:start]}<title>{escape(title)}{page[end:]}", encoding="utf-8")

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair.picture import Picture
-from app.viewer.features.pair.scene import PAIR, PairScene
+from app.viewer.features.pair.scene import HEADING_BACK, PAIR, PairScene
 from app.viewer.features.pair.tab import judged_pair
 from app.viewer.features.pair.verdict import headline_of
 from app.viewer.features.work import message_of
@@ -46,8 +46,8 @@ MOST_CELLS = 20_000
 """Of a map that are looked at for ground that is gained or lost: marks need no more."""
 MARK = 0.55
 """Size of their marks beside the way from one to the next: the ground is visible between."""
-PIN, BACK_BY = 0.05, 0.12
-"""Height of a pin and the way from the ground to the heading, as shares of width and depth."""
+PIN = 0.05
+"""Height of a pin, as a share of the width."""
 REACH = 0.5
 """How far the same inlier may have moved, in inlier radii."""
 NO_WRAP = 'style="white-space:nowrap;margin:0 .4em"'
@@ -229,7 +229,7 @@ class OneSided:
         """Show it, as far as the options ask for lines and surfaces."""
         picture, options = side.picture, side.picture.state.options
         low, high = picture.corners.min(axis=0), picture.corners.max(axis=0)
-        back = high[1] + BACK_BY * (high[1] - low[1])
+        back = high[1] + HEADING_BACK * (high[1] - low[1])
         middle = np.array([(low[0] + high[0]) / 2, back, high[2]])
         self._heading.put(text=side.heading, position=middle)
         lift = 0.002 * float(high[0] - low[0])

@@ -55,6 +55,8 @@ PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
 MAX_CLOUD_POINTS = 200_000
 """Of one submap; of a larger cloud every second point is drawn, or third, …"""
+HEADING_BACK = 0.12
+"""How far behind each of two pictures its heading stands, as a share of its depth."""
 EASES = 6
 """Pictures in which the colours go from one range to another."""
 
@@ -362,8 +364,13 @@ class PairScene:
             forward = DOWN
         boxes = tuple(zip(boxes_of(state), placed, strict=True))
         if self.is_split:
-            x, y = beside(corners_of(boxes), corners_of(boxes), self.stacks(layout))
-            boxes += tuple((box, replace(at, x=at.x + x, y=at.y + y)) for box, at in boxes)
+            corners = corners_of(boxes)
+            x, y = beside(corners, corners, self.stacks(layout))
+            boxes += tuple(
+                (box, replace(at, x=at.x + x, y=at.y + y + back))
+                for back in (0.0, HEADING_BACK * float(np.ptp(corners[:, 1])))
+                for box, at in boxes
+            )
         return frame_camera(boxes, canvas, forward=forward, parallel=parallel)
 
     def stacks(self, layout: Layout) -> bool:

@@ -98,6 +98,9 @@ def test_a_page_that_reports_late_looks_where_it_was_brought(
     client.camera.look_at = (1.0, 2.0, 3.0)
     set_view(client, VIEW)
     page.wait(lambda: page.look_at == list(VIEW.look_at), "the view")
+    client.camera._state.position, page.looks_from = np.array(VIEW.position), None
+    set_view(client, VIEW)
+    page.wait(lambda: page.looks_from == list(VIEW.position), "the place, which it reported before")
     page.close()
 
 
