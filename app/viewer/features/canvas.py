@@ -241,21 +241,9 @@ class Framing(Feature):
             shown = len(world.poses if world is not None and grows else state.dataset.submaps)
             title = f"{state.dataset.name}: {count(shown, 'submap')}"
             legend = self._desk.canvases.legends.get("world", "")
-            frame = "frame of the poses"
-            return {
-                "title": title,
-                "line": "",
-                "frame": frame,
-                "cursor": "followed",
-                "legend": legend,
-            }
+            return _caption(title, "", "frame of the poses", legend)
         if not state.is_pair:
-            return {
-                "title": f"Submap {state.query_id}",
-                "line": NEEDS_TWO,
-                "frame": "frame of the submap",
-                "cursor": "followed",
-            }
+            return _caption(f"Submap {state.query_id}", NEEDS_TWO, "frame of the submap")
         line, marks, canvases = "", "", self._desk.canvases
         if self._shown is not None and same_pair(self._shown.state, state):
             result = self._shown.result
@@ -270,14 +258,12 @@ class Framing(Feature):
             counts = shown_counts(result, state.options)
             marks = marks_legend(counts, inlier_color(result)) if counts else ""
             marks = canvases.legends.get("pair") or marks
-        together = self._pair.turns(state)
-        return {
-            "title": f"Query {state.query_id} → database {state.database_id}",
-            "line": line,
-            "frame": "frame of the database" if together else "frame of each submap",
-            "cursor": "followed",
-            "legend": marks + canvas_legend(canvases.scales.get("pair"), canvases.note),
-        }
+        return _caption(
+            f"Query {state.query_id} → database {state.database_id}",
+            line,
+            "frame of the database" if self._pair.turns(state) else "frame of each submap",
+            marks + canvas_legend(canvases.scales.get("pair"), canvases.note),
+        )
 
     def _move_swipe(self) -> None:
         at = None if self._pair.picture is None else self._pair.picture.swipe_at
@@ -307,3 +293,7 @@ class Framing(Feature):
                 "swipe": {"way": places, "share": self._desk.state.options.swipe},
             },
         )
+
+
+def _caption(title: str, line: str, frame: str, legend: str = "") -> dict[str, str]:
+    return {"title": title, "line": line, "frame": frame, "cursor": "followed", "legend": legend}

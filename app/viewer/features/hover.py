@@ -47,6 +47,9 @@ PAUSE = 0.02
 """Between two read-outs [s]."""
 
 
+NOTHING: dict[str, object] = {"places": [], "card": ""}
+
+
 class CursorMsg(Struct):
     """Where a page's cursor is: pixels from the upper left corner of its canvas."""
 
@@ -91,7 +94,7 @@ class Hover(Feature):
     def _clear(self, page: viser.ClientHandle) -> None:
         if self._lit.pop(page, ()):
             self._light(page, ())
-            self._desk.canvases.show(page, "marks", {"places": [], "card": ""})
+            self._desk.canvases.show(page, "marks", NOTHING)
 
     def _serve(self, page: viser.ClientHandle) -> None:
         with self._lock:
@@ -122,7 +125,7 @@ class Hover(Feature):
         """Find what is to be shown for a place of the canvas: places on it, and words."""
         picture, ray = self._pair.picture, self._ray(page, at)
         if picture is None or not self._pair.visible:
-            return {"places": [], "card": ""}
+            return NOTHING
         keypoint = self._keypoint_at(page, picture, at)
         if keypoint is not None and picture.result is not None:
             spots = keypoint_spots(picture, picture.result, keypoint)
@@ -130,7 +133,7 @@ class Hover(Feature):
             return {"places": self._on_page(page, spots), "card": card, "joined": len(spots) > 1}
         probe = self._pair.pick(ray)
         if probe is None:
-            return {"places": [], "card": ""}
+            return NOTHING
         return {
             "places": self._on_page(page, picture.spots(probe)),
             "card": reading_card(picture, probe),

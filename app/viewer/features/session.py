@@ -40,15 +40,7 @@ from gpgrad_core.run.memo import Memo
 
 
 class Session:
-    """Panels, scene and jobs of one session.
-
-    Attributes:
-        world: The feature that shows all submaps.
-        inspect: The feature that reads places and associations.
-        data: The feature that opens datasets.
-        pose_graph: The feature that corrects the map.
-        desk: What the features know of the session.
-    """
+    """Panels, scene and jobs of one session, and the features that others ask for."""
 
     def __init__(  # noqa: PLR0915 - one line a feature
         self,

@@ -72,11 +72,7 @@ def match_lines(
 def shown_matches(
     result: PairResult, *, inliers: bool, everything: bool
 ) -> Bool[NDArray[np.bool_], "m"]:
-    """Choose the associations, inliers or else outliers, whose lines are drawn.
-
-    Hundreds of lines hide the ground and each other. A few that are spread over it show the
-    motion as well: at most `MOST_LINES`, far from each other in the query, unless ``everything``.
-    """
+    """Choose the associations to draw: all, or `MOST_LINES` that are spread over the ground."""
     agree = result.registration.inliers
     kind = agree if inliers else ~agree
     if everything:
@@ -132,10 +128,7 @@ def arcs_of(
 def arcs(
     start: Float[Array, "n 3"], end: Float[Array, "n 3"], pieces: int, rise: float
 ) -> Float[NDArray[np.float32], "k 2 3"]:
-    """Span arches between points, each in the same number of straight pieces.
-
-    The middle of each is higher than its feet by a share of its span.
-    """
+    """Span arches of so many straight pieces between points, as high as a share of their span."""
     along = np.linspace(0.0, 1.0, pieces + 1)[None, :, None]
     points = start[:, None] * (1.0 - along) + end[:, None] * along
     span = np.linalg.norm((end - start)[:, :2], axis=1)

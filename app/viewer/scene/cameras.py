@@ -43,11 +43,7 @@ def top(oblique: Camera) -> Camera:
 
 
 def blend(start: Camera, end: Camera, share: float) -> Camera:
-    """Interpolate between two views, moving round the point that is looked at.
-
-    The distance from it goes evenly and the direction turns, so that the camera does not dive
-    through the ground on its way.
-    """
+    """Interpolate between two views round what is looked at, not down through the ground."""
     start, end = start.with_perspective, end.with_perspective
     looks = np.array(start.look_at), np.array(end.look_at)
     arms = np.array(start.position) - looks[0], np.array(end.position) - looks[1]
@@ -155,10 +151,7 @@ def axes_on_screen(camera: Camera) -> Float[Array, "2 2"]:
 def place_on_screen(
     camera: Camera, canvas: Canvas, points: Float[Array, "n 3"]
 ) -> Float[Array, "n 2"]:
-    """Project points of the scene [m] onto a canvas: pixels from its upper left corner.
-
-    Points behind the camera are NaN.
-    """
+    """Project points of the scene [m] onto a canvas, in its pixels; those behind are NaN."""
     forward, right, up = axes_of_view(camera.sight)
     offset = points - np.array(camera.position)
     depth = offset @ forward
@@ -189,10 +182,7 @@ class Animation:
 
 
 def play(animation: Animation, progress: Progress = silent) -> None:
-    """Play once, in real time; a slow machine shows fewer pictures, not a slower motion.
-
-    Progress is called once a picture, and may raise Cancelled.
-    """
+    """Play once, in real time: a slow machine shows fewer pictures. Progress may cancel it."""
     start = time.monotonic()
     share = 0.0
     while share < 1.0:

@@ -175,10 +175,7 @@ def for_lines(color: Rgb) -> NDArray[np.uint8]:
 
 
 def for_line_ends(colors: Colors) -> UInt8[NDArray[np.uint8], "n 2 3"]:
-    """As `for_lines`, for both ends of lines that have colours of their own.
-
-    The browser reads the colours of such lines as linear light already.
-    """
+    """As `for_lines`, for both ends of lines with colours of their own, read as linear light."""
     return np.round(255.0 * _light_of(colors)).astype(np.uint8)[:, None].repeat(2, axis=1)
 
 

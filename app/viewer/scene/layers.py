@@ -334,8 +334,7 @@ def make_surfels(
 
     Where the paint shows nothing, they are grey. Every so many rows and columns are drawn, and of
     them the cells that are ``seen``, or all. A hue marks this map. Values outside the picked ones
-    are faint. Positions are
-    relative to a centre in the submap's frame [m].
+    are faint. Positions are relative to a centre in the submap's frame [m].
     """
     (gradient_map, level), scale = paint.levelled[index], paint.scale
     grid = gradient_map.grid

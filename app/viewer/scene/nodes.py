@@ -17,10 +17,7 @@ LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
 
 
 class Node:
-    """One node of the scene, created when there is first something to show, then changed in place.
-
-    viser sends nothing for a property that is set to what it is.
-    """
+    """One node of the scene, created when there is something to show, then changed in place."""
 
     def __init__(self, add: Callable[..., Any], name: str, **look: Any) -> None:
         """Prepare the node of that name, which a method of the scene adds, and how it looks."""
@@ -84,10 +81,7 @@ def points_node(host: Host, name: str, *, shape: str = "square", **look: Any) ->
 
 
 def lines_node(host: Host, name: str, color: Rgb | None, thickness: float) -> Node:
-    """Prepare lines, their ``points`` (n, 2, 3) [m], of a thickness [pixels].
-
-    They have one colour, as shown, or with None ``colors`` from `for_line_ends`.
-    """
+    """Prepare lines (n, 2, 3) [m] of a thickness [pixels]; None: ``colors`` of `for_line_ends`."""
     look = {} if color is None else {"colors": for_lines(color)}
     return Node(
         host.scene.add_line_segments, name, thickness=thickness, thickness_units="screen", **look
@@ -184,10 +178,7 @@ class SubmapNode:
     def __init__(
         self, host: Host, parent: str, role: str, color: Rgb, outer: Literal["left", "right"]
     ) -> None:
-        """Make the frame of the query or the database, below a parent.
-
-        The other submap does not lie to its outer side.
-        """
+        """Make the frame of a role; to its outer side lies no other submap."""
         self._outer = outer
         self._placement = Placement()
         self._extent: Box | None = None

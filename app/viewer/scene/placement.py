@@ -262,11 +262,7 @@ def level_of(
 
 
 def z_offset_of(registration: Registration, maps: Maps, max_std_ratio: float) -> float:
-    """The height to add to the query so that it lies on the database [m]; 0 without a motion.
-
-    The registration's own, where the alignment held; else, as where there is little in common,
-    the median difference.
-    """
+    """The height to add to the query to lie on the database [m]; the alignment's, if that held."""
     if registration.T_database_query is None:
         return 0.0
     if registration.covariance is not None:
@@ -340,10 +336,7 @@ def glide(
     ends: tuple[Placement, Placement],
     share: float,
 ) -> tuple[Placement, Placement]:
-    """Place (query, database) a share of the way, in [0, 1], between two of their places.
-
-    The query, with its box, goes over the ground, not through it, and comes down on its place.
-    """
+    """Place (query, database) a share of the way, in [0, 1]; the query goes over the ground."""
     (from_query, from_database), (to_query, to_database) = starts, ends
     rest, hop = 1 - share, ARC_HEIGHT * float(max(box.size[:2])) * 4 * share * (1 - share)
     # Round the middle of its box, which goes straight; its corner would swing.

@@ -156,9 +156,6 @@ class Lane(Generic[Job, Result]):
 
     The callbacks are called from a thread of the pool. What they or the work raise becomes a value
     for ``on_error``; nothing but the end of the pool ends the lane.
-
-    Attributes:
-        is_busy: Whether anything runs or waits.
     """
 
     jobs: Jobs  # whose threads do the work

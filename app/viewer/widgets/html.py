@@ -151,13 +151,5 @@ class PageTitle:
             return
         self._shown = named
         self._host.gui.set_panel_label(dataset)  # the canvas names the pair
-        self._script.content = title_html(f"{named} · gpgrad")
-
-
-def title_html(title: str) -> str:
-    """Write a script that names the page into which it is put.
-
-    >>> title_html("a")
-    '<img alt="" src="data:," style="display:none" onerror="document.title=&quot;a&quot;">'
-    """
-    return inline_script(f"document.title={json.dumps(title)}")
+        title = json.dumps(f"{named} · gpgrad")
+        self._script.content = inline_script(f"document.title={title}")

@@ -34,10 +34,6 @@ class Panel(Generic[P]):
 
     What is rarely needed lies below in a folded folder, and there each group in one of its own.
     Callbacks run in the server's event loop: they must only hand the value on.
-
-    Attributes:
-        value: As the widgets show it.
-        used: The same with numbers for what is automatic, as far as they are there.
     """
 
     def __init__(

@@ -66,29 +66,25 @@ class WorkBar:
         told = ", ".join(
             filter(None, (phase, "" if left is None else f"{time_in_words(left)} left"))
         )
-        self._say(f"{what} … {100 * fraction:.0f} %{told and f', {told}'}", BUSY)
-
-    def idle(self) -> None:
-        self._set_running(False)
-        self._message.content = ""
-
-    def done(self, message: str) -> None:
-        """Show that nothing runs any more, and what came of it."""
-        self._set_running(False)
-        self._say(message, self._done_color)
-
-    def failed(self, message: str) -> None:
-        """Show that nothing runs any more, and what went wrong."""
-        self._set_running(False)
-        self._message.content = message_line(f"{self._test_id}-error", message, BAD)
+        line = f"{what} … {100 * fraction:.0f} %{told and f', {told}'}"
+        self._message.content = self._line(line, BUSY)
 
     def show(self, content: str) -> None:
         """Show that nothing runs any more, and a result as HTML that is safe."""
         self._set_running(False)
         self._message.content = content
 
-    def _say(self, message: str, color: str) -> None:
-        self._message.content = message_line(f"{self._test_id}-message", message, color)
+    def idle(self) -> None:
+        self.show("")
+
+    def done(self, message: str) -> None:
+        self.show(self._line(message, self._done_color))
+
+    def failed(self, message: str) -> None:
+        self.show(message_line(f"{self._test_id}-error", message, BAD))
+
+    def _line(self, message: str, color: str) -> str:
+        return message_line(f"{self._test_id}-message", message, color)
 
     def _set_running(self, running: bool) -> None:
         self._cancel.visible = self._bar.visible = running

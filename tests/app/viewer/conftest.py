@@ -6,7 +6,7 @@ import pytest
 
 from app.viewer.features import links
 from app.viewer.features.pair import tab as pair_module
-from app.viewer.features.params import noise
+from app.viewer.features.params import terrain
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -15,5 +15,5 @@ def no_rests() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(links, "PAUSE", 0.0)
         patch.setattr(pair_module, "BEFORE_FIT", 0.0)
-        patch.setattr(noise, "REST", 0.0)
+        patch.setattr(terrain, "REST", 0.0)
         yield

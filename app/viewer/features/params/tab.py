@@ -7,10 +7,9 @@ from dataclasses import replace
 import viser
 
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.params.fit import FitTool
-from app.viewer.features.params.noise import NoiseTool
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
+from app.viewer.features.params.terrain import FitTool, NoiseTool
 from app.viewer.features.params.undo import HistoryTool, ReferenceTool
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.news import SessionState

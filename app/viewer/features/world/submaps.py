@@ -79,11 +79,7 @@ def pose_sources(
 def poses_of(
     dataset: Dataset, source: PoseSource, corrected: Mapping[str, Pose] | None = None
 ) -> dict[str, Pose]:
-    """The pose of each submap that the source has, in the dataset's order.
-
-    In the world a submap's pose is that of its centre, because its frame's origin may lie anywhere;
-    so the corrected poses are, too.
-    """
+    """The poses that the source has, in the dataset's order: those of the submaps' centres."""
     if source == "in rows":
         return _in_rows(dataset)
     if source == "corrected":
@@ -110,11 +106,7 @@ def _in_rows(dataset: Dataset) -> dict[str, Pose]:
 def figures_of(
     submap: Submap, corrected: Pose | None = None, *, positions_only: bool = False
 ) -> tuple[tuple[str, str], ...]:
-    """Measure a submap, and write that as rows of a name and a value with its unit.
-
-    Its true pose, if any, shows how far odometry and the corrected pose are off, where errors are
-    measured; see `slam.graph.judged_poses`.
-    """
+    """Measure a submap in rows of a name and a value; against a true pose, its other poses too."""
     points, area = submap.points, footprint(submap)
     x, y, z = (float(side) for side in np.ptp(points, axis=0))
     rows = [
@@ -232,10 +224,7 @@ def inferred_surface(
     num_submaps: int,
     progress: Progress = silent,
 ) -> Terrain:
-    """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
-
-    Of many submaps only some rows and columns remain, so that all fit into memory.
-    """
+    """Infer a submap's gradient map, of many only some cells; a coarse one if the memo has none."""
     made = infer_quick_map(submap, params.map, memo, progress)
     stride = stride_for(made.grid.num_cells, max(1, MADE_CELLS // num_submaps))
     return Terrain(_about_centre(made, submap, stride), params.features.max_std_ratio)

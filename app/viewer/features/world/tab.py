@@ -87,10 +87,7 @@ class WorldTab(Feature):
     _legend: viser.GuiHtmlHandle
 
     def __init__(self, desk: Desk, modes: ModeSwitch, *, visible: bool = False) -> None:
-        """Make the panel in the current container.
-
-        A map that is visible at once takes the place of `FirstGround` when it is drawn.
-        """
+        """Make the panel; a map that is visible at once takes the place of `FirstGround`."""
         self._desk, self._modes, self._host = desk, modes, desk.host
         self._lock = threading.Lock()
         self._state = desk.state
@@ -353,10 +350,7 @@ class WorldTab(Feature):
     def look(
         self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
     ) -> tuple[tuple[str, ...], str]:
-        """What a line of sight meets: the submaps of an arch, or one of the ground; and a card.
-
-        An arch is met within so many radians.
-        """
+        """What a line of sight meets: the submaps of an arch so near, or one; and a card."""
         loop = self.scene.arch_at(origin, direction, reach)
         if loop is not None:
             return (loop.query_id, loop.database_id), loop_card(loop)

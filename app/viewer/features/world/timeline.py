@@ -41,11 +41,7 @@ class TimelineMsg(msgspec.Struct):
 
 
 class Timeline(Feature):
-    """Plays the drive of the open dataset, which it computes at the first request.
-
-    Attributes:
-        moments: Of the drive, as far as it is computed.
-    """
+    """Plays the drive of the open dataset, which it computes at the first request."""
 
     def __init__(self, desk: Desk, world: WorldTab, modes: ModeSwitch, opened: Opened) -> None:
         self._desk, self._world, self._modes = desk, world, modes
@@ -82,7 +78,7 @@ class Timeline(Feature):
         self._take(opened)
 
     def _clear(self) -> None:
-        self.moments: tuple[Moment, ...] = ()
+        self.moments: tuple[Moment, ...] = ()  # as far as they are computed
         self._new = 0  # of them, as many are of the present parameters
         self._fraction: float | None = None
         self._at: int | None = None
@@ -105,10 +101,7 @@ class Timeline(Feature):
     # What the session tells.
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Follow the session: with other parameters, the drive is computed anew.
-
-        What is opened may come with one. The strip is there while the world is on the canvas.
-        """
+        """Follow the session, computing anew with other parameters; what is opened may drive."""
         with self._lock:
             self._state = state.view
             other = not same_search(before.view, state.view)
@@ -130,10 +123,7 @@ class Timeline(Feature):
             self._tell()
 
     def on_drive(self, news: DriveNews) -> None:
-        """Show what happened at the moment that the map shows by now, or leave it for the whole.
-
-        It is not left while the drive still goes on.
-        """
+        """Show what the map shows by now; leave it for the whole, unless the drive goes on."""
         if news == "drawn":
             self._tell()
         elif self._live is None:
@@ -189,10 +179,7 @@ class Timeline(Feature):
         return None
 
     def _all_of(self, drive: Drive, goes_on: Drive | Run) -> Opened:
-        """All submaps that have come, at first with the best loop closure as the pair.
-
-        Later the pair, parameters and decisions stay as a person has them.
-        """
+        """All submaps that have come; the best loop closure is the pair until a person acts."""
         state, moments = self._state, drive.moments
         saved = self._desk.present().saved if self._caught_up is drive else None
         self._caught_up = drive

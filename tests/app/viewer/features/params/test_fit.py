@@ -7,8 +7,8 @@ import pytest
 import viser
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.params import fit as fit_module
-from app.viewer.features.params.fit import FitTool
+from app.viewer.features.params import terrain as fit_module
+from app.viewer.features.params.terrain import FitTool
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.mapping.fitting import FitResult

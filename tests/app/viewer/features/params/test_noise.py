@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.features.params.noise import NoiseTool, noise_html
+from app.viewer.features.params.terrain import NoiseTool, noise_html
 from app.viewer.session.news import PairShown
 from app.viewer.session.state import open_dataset
 from gpgrad_core.mapping.gradient_map import TerrainParams
