@@ -18,27 +18,8 @@ from app.cli.inputs import (
     tell_damaged,
 )
 from app.cli.terminal import conclude, progress_bar, warn, working
+from gpgrad_core import evaluation as judging
 from gpgrad_core.detection.shortlist import num_candidates, read_candidates
-from gpgrad_core.evaluation import (
-    EvaluationParams,
-    Protocol,
-    Section,
-    calibrate,
-    check_directory,
-    check_problems,
-    describe_calibration,
-    describe_evaluation,
-    describe_images,
-    describe_problems,
-    describe_protocol,
-    evaluate,
-    measure_pairs,
-    rank_pairs,
-    read_problems,
-    read_rivals,
-    run_methods,
-    write_report,
-)
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.pages import PAGE, subject_of, write_page
@@ -89,7 +70,7 @@ class Evaluate(Comparing):
     seed: SeedFlag = None
     candidates: CandidatesFlag = "automatic"
     protocol: Annotated[
-        Protocol,
+        judging.Protocol,
         Doc(
             "paper: also judge as in the paper's Sec. VII, which leaves no pair out, and set both "
             "side by side."
@@ -100,7 +81,9 @@ class Evaluate(Comparing):
         Doc("Also test the maps' uncertainty on points held out. This takes about a minute."),
     ] = False
     page: PageFlag = True
-    evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
+    evaluation: Annotated[Given[judging.EvaluationParams], tyro.conf.arg(name="")] = Given(
+        judging.EvaluationParams
+    )
 
     def run(self) -> None:
         if self.seed is not None:
@@ -111,24 +94,24 @@ class Evaluate(Comparing):
         for method in methods:
             method.check_searchable(candidates)
         self._check_out(names)
-        rivals = read_rivals(self.closures, taken=names)
-        problems = () if self.pairs is None else read_problems(self.pairs)
+        rivals = judging.read_rivals(self.closures, taken=names)
+        problems = () if self.pairs is None else judging.read_problems(self.pairs)
         store = self.store()
         dataset = load(self.dataset)
         params = self.asked(dataset, self.seed)
         if self.pairs is not None:
-            check_problems(problems, dataset, self.pairs)
+            judging.check_problems(problems, dataset, self.pairs)
         only = {(problem.source, problem.target) for problem in problems} or None
-        pairs = measure_pairs(dataset, only=only)
+        pairs = judging.measure_pairs(dataset, only=only)
         for name, report in rivals.items():
-            rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
+            judging.rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
         num_pairs = sum(num_candidates(candidates, k) for k in range(len(dataset.submaps)))
         num_pairs = num_pairs if only is None else len(pairs)
         num_jobs = num_pairs * len(methods)
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
             with working("evaluate", num_jobs) as (progress, executor):
-                detected = run_methods(
+                detected = judging.run_methods(
                     dataset,
                     methods,
                     params,
@@ -143,25 +126,27 @@ class Evaluate(Comparing):
                 for closure in report.accepted:
                     tell_closure(closure, name)
             reports = detected | rivals
-            evaluation = evaluate(
+            evaluation = judging.evaluate(
                 dataset,
                 reports,
-                self.evaluation.over(EvaluationParams()),
+                self.evaluation.over(judging.EvaluationParams()),
                 pairs=pairs,
                 seed=params.registration.seed,
             )
-            sections: list[Section] = []
+            sections: list[judging.Section] = []
             if self.calibration:
                 with progress_bar("calibration") as progress:
-                    judged = calibrate(
+                    judged = judging.calibrate(
                         dataset, params, seed=params.registration.seed, progress=progress
                     )
-                sections.append(describe_calibration(judged))
-            sections += describe_images(reports, evaluation)
+                sections.append(judging.describe_calibration(judged))
+            sections += judging.describe_images(reports, evaluation)
             if self.protocol == "paper":
-                sections.append(describe_protocol(dataset, reports, evaluation))
+                sections.append(judging.describe_protocol(dataset, reports, evaluation))
             if self.pairs is not None:
-                sections.append(describe_problems(problems, dataset, evaluation, self.pairs))
+                sections.append(
+                    judging.describe_problems(problems, dataset, evaluation, self.pairs)
+                )
             if self.page:
                 name, report = next(iter(reports.items()))  # the page is of the first method
                 memo = Memo(store=store)
@@ -173,19 +158,19 @@ class Evaluate(Comparing):
                 with progress_bar("page") as progress:
                     write_page(folder / PAGE, subject, memo, progress)
             with progress_bar("figures") as progress:
-                write_report(
+                judging.write_report(
                     folder, evaluation, closures=detected, sections=sections, progress=progress
                 )
         warn(*evaluation.notes)
         conclude(
-            *describe_evaluation(evaluation, reports),
+            *judging.describe_evaluation(evaluation, reports),
             str(self.out / "report.md"),
             output=self.out,
             methods={method.name: method.in_numbers for method in evaluation.methods},
         )
 
     def _check_out(self, methods: Sequence[str]) -> None:
-        check_directory(self.out, REPORT, overwrite=self.overwrite)
+        judging.check_directory(self.out, REPORT, overwrite=self.overwrite)
         written = (*REPORT, *(f"closures_{name}.json" for name in methods))
         check_apart(
             [self.out / name for name in written],

@@ -25,6 +25,7 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import conclude, progress_bar, say, warn, working
 from app.recordings import built_first
+from gpgrad_core import slam
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
 from gpgrad_core.errors import InputError
@@ -46,34 +47,6 @@ from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.slam import (
-    AnchorModel,
-    AnchorParams,
-    Drive,
-    GraphParams,
-    JoinedDatasets,
-    LoopCloser,
-    MapCoordinates,
-    MapErrors,
-    MergeParams,
-    RunSettings,
-    RunWriter,
-    Solution,
-    SolverParams,
-    Step,
-    check_solver,
-    coordinates_of,
-    describe_map,
-    georeference_on,
-    join_datasets,
-    measure_errors,
-    odometry_poses,
-    read_anchor,
-    solution_files,
-    solve_datasets,
-    write_merged,
-    write_solution,
-)
 from gpgrad_core.slam.run_file import ENDING
 from gpgrad_core.types import LoopClosure
 
@@ -150,15 +123,18 @@ class Slam(Comparing):
         ),
     ] = None
     anchoring: Annotated[
-        Given[AnchorParams], Doc("How well it is known where the drive starts on the model.")
-    ] = Given(AnchorParams)
+        Given[slam.AnchorParams], Doc("How well it is known where the drive starts on the model.")
+    ] = Given(slam.AnchorParams)
     graph: Annotated[
-        Given[GraphParams], Doc("Uncertainty of the pose graph's edges: odometry and closures.")
-    ] = Given(GraphParams)
-    solver: Annotated[Given[SolverParams], Doc("When a loop closure is refused as wrong.")] = Given(
-        SolverParams
+        Given[slam.GraphParams],
+        Doc("Uncertainty of the pose graph's edges: odometry and closures."),
+    ] = Given(slam.GraphParams)
+    solver: Annotated[Given[slam.SolverParams], Doc("When a loop closure is refused as wrong.")] = (
+        Given(slam.SolverParams)
     )
-    merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
+    merged: Annotated[Given[slam.MergeParams], Doc("The merged cloud and map.")] = Given(
+        slam.MergeParams
+    )
     scheduler: SchedulerFlag = None
 
     def run(self) -> None:
@@ -169,21 +145,21 @@ class Slam(Comparing):
         with ExitStack() as hints:
             for path in self.datasets:
                 hints.enter_context(built_first(path))
-            joined = join_datasets([outline_dataset(path) for path in self.datasets])
+            joined = slam.join_datasets([outline_dataset(path) for path in self.datasets])
             self._check_out(joined)
             dataset = joined.outline.dataset
-            odometry_poses(dataset)  # refuses what lacks it before the work
+            slam.odometry_poses(dataset)  # refuses what lacks it before the work
         report = read_closures(self.closures) if self.closures else None
         given = None if report is None else restore_closures(report)
-        check_solver()
+        slam.check_solver()
         anchor = self._anchor(joined)
         georeference = (
             georeference_of(self.origin, self.crs, dataset.origin)
             if anchor is None
-            else georeference_on(anchor, self.anchor, self.origin, self.crs)
+            else slam.georeference_on(anchor, self.anchor, self.origin, self.crs)
         )
         params = self.asked(dataset)
-        graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
+        graph, solver = self.graph.over(slam.GraphParams()), self.solver.over(slam.SolverParams())
         some = [*joined.outline.terrains(representative(len(dataset.submaps)))]
         params = resolved(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
@@ -201,7 +177,7 @@ class Slam(Comparing):
             jobs = len(joined.outline.clouds) ** 2
             searching = nullcontext((silent, None)) if anchor is None else working("anchor", jobs)
             with searching as (progress, executor):
-                solution = solve_datasets(
+                solution = slam.solve_datasets(
                     joined,
                     closures,
                     graph,
@@ -213,7 +189,7 @@ class Slam(Comparing):
                     progress=progress,
                 )
             with progress_bar("judge") as progress:
-                errors = measure_errors(solution, progress)
+                errors = slam.measure_errors(solution, progress)
             if self.page:
                 found = read_closures(folder / "closures.json") if report is None else report
                 with progress_bar("page") as progress:
@@ -228,7 +204,7 @@ class Slam(Comparing):
         if solution.anchored is not None and solution.anchored.outside:
             warn(solution.anchored.outside_note)
         conclude(
-            *describe_map(solution, errors),
+            *slam.describe_map(solution, errors),
             str(self.out),
             output=self.out,
             submaps=len(solution.result.poses),
@@ -266,26 +242,24 @@ class Slam(Comparing):
     def _write(
         self,
         folder: Path,
-        solution: Solution,
-        errors: MapErrors,
+        solution: slam.Solution,
+        errors: slam.MapErrors,
         georeference: Georeference | None,
         params: PipelineParams,
-    ) -> MapCoordinates | None:
-        """Write the results; returns where the map lies, with a georeference."""
-        coordinates = None if georeference is None else coordinates_of(solution, georeference)
+    ) -> slam.MapCoordinates | None:
+        coordinates = None if georeference is None else slam.coordinates_of(solution, georeference)
         with progress_bar("write") as progress:
-            write_solution(folder, solution, errors, progress, coordinates=coordinates)
+            slam.write_solution(folder, solution, errors, progress, coordinates=coordinates)
         if self.merge:
-            merged, terrain = self.merged.over(MergeParams()), params.map.terrain
+            merged, terrain = self.merged.over(slam.MergeParams()), params.map.terrain
             with progress_bar("merge") as progress:
-                notes = write_merged(
+                notes = slam.write_merged(
                     folder, solution, terrain, merged, progress, coordinates=coordinates
                 )
             warn(*notes)
         return coordinates
 
-    def _anchor(self, joined: JoinedDatasets) -> AnchorModel | None:
-        """Read the elevation model, and find out where the drive starts on it."""
+    def _anchor(self, joined: slam.JoinedDatasets) -> slam.AnchorModel | None:
         if self.anchor is None:
             given = {"anchor-std": self.anchor_std, "anchor-start": self.anchor_start}
             given |= {f"anchoring.{name}": value for name, value in self.anchoring.values.items()}
@@ -294,21 +268,21 @@ class Slam(Comparing):
                     flag = f"--{name.replace('_', '-')} {value}"
                     raise InputError(f"{flag}: needs the elevation model, --anchor FILE.tif")
             return None
-        return read_anchor(
+        return slam.read_anchor(
             self.anchor,
             joined.outline,
             std=self.anchor_std,
             start=self.anchor_start,
             origin=self.origin,
             crs=self.crs,
-            params=self.anchoring.over(AnchorParams()),
+            params=self.anchoring.over(slam.AnchorParams()),
         )
 
-    def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
+    def _names(self, joined: slam.JoinedDatasets) -> tuple[str, ...]:
         """Name the files that this run may write; the last one is written last."""
-        return (*(() if self.closures else ("closures.json",)), PAGE, *solution_files(joined))
+        return (*(() if self.closures else ("closures.json",)), PAGE, *slam.solution_files(joined))
 
-    def _check_out(self, joined: JoinedDatasets) -> None:
+    def _check_out(self, joined: slam.JoinedDatasets) -> None:
         names = self._names(joined)
         check_directory(self.out, names, overwrite=self.overwrite)
         if self.record is not None:
@@ -320,14 +294,14 @@ class Slam(Comparing):
 
     def _detect(
         self,
-        joined: JoinedDatasets,
+        joined: slam.JoinedDatasets,
         params: PipelineParams,
-        graph: GraphParams,
-        solver: SolverParams,
+        graph: slam.GraphParams,
+        solver: slam.SolverParams,
         folder: Path,
         candidates: Candidates,
         store: Store | None,
-    ) -> tuple[Sequence[LoopClosure], JoinedDatasets]:
+    ) -> tuple[Sequence[LoopClosure], slam.JoinedDatasets]:
         """Detect the closures, maybe submap by submap, and drop submaps that cannot be maps."""
         if self.search_radius is None and self.record is None:
             compared = compare(
@@ -344,12 +318,14 @@ class Slam(Comparing):
         name, start = joined.outline.dataset.name, time.perf_counter()
         with ExitStack() as ends:
             progress = ends.enter_context(progress_bar("closures"))
-            make = LoopCloser
+            make = slam.LoopCloser
             if self.record is not None:
-                settings = RunSettings(name, params, graph, solver, candidates, self.search_radius)
+                settings = slam.RunSettings(
+                    name, params, graph, solver, candidates, self.search_radius
+                )
                 unfinished = ends.enter_context(replacing(self.record))
-                record = ends.enter_context(RunWriter(unfinished, settings, is_locked=True))
-                make = partial(Drive, record=record, name=name)
+                record = ends.enter_context(slam.RunWriter(unfinished, settings, is_locked=True))
+                make = partial(slam.Drive, record=record, name=name)
             closer = ends.enter_context(
                 make(
                     params,
@@ -369,6 +345,6 @@ class Slam(Comparing):
         return closures, joined.keeping(sizes)
 
 
-def _tell(step: Step) -> None:
+def _tell(step: slam.Step) -> None:
     for closure in step.closures:
         tell_closure(closure, "gradient")

@@ -200,7 +200,6 @@ class Viewer:
 
     @property
     def memory(self) -> int:
-        """The budget for this process and its helper together [bytes]."""
         return self._memory.budget
 
     @property
@@ -312,7 +311,6 @@ class Viewer:
                 self._left.notify_all()
 
     def _session_of(self, page: int) -> "Session | None":
-        """The session that a page shows, if it has one yet."""
         with self._lock:
             return self._separate.get(page) or self._shared
 

@@ -389,7 +389,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         *("gpgrad_core.simulation.simulate.run_jobs", "gpgrad_core.detection.pairs.Pairs.compare"),
         *(
             "gpgrad_core.comparing.resolve_parameters",
-            "app.cli.evaluate.run_methods",
+            "gpgrad_core.evaluation.run_methods",
             "app.cli.slam.resolved",
         ),
         "app.cli.reproduce.study",

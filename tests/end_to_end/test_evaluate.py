@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-import app.cli.evaluate
 from gpgrad_core.io.folder import write_dataset
 from tests.core.evaluation import squares
 from tests.core.evaluation.test_registration_benchmark import write
@@ -107,7 +106,7 @@ def test_the_command_compares_only_the_listed_pairs(
         asked.append(options["only"])
         return {"tool": squares.report(right)}
 
-    monkeypatch.setattr(app.cli.evaluate, "run_methods", noted)
+    monkeypatch.setattr("gpgrad_core.evaluation.run_methods", noted)
     out = ("--out", tmp_path / "report", "--pairs", file)
     finished = gpgrad("evaluate", tmp_path / "squares", *out)
     assert finished.code == 0, finished.err

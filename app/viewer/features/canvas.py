@@ -70,12 +70,7 @@ class Framing(Feature):
     # What the session tells.
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Move the cameras to another pair or layout.
-
-        A saved session has its own cameras, and so has a page that changed to another scene.
-        When panels are hidden or shown, the canvas changes soon: it is filled in the direction of
-        sight that it had before.
-        """
+        """Move the cameras to another pair, layout or canvas; a saved session has its own."""
         opened = state.opened_since(before)
         is_saved = bool(opened and opened.saved and opened.saved.camera)
         with self._lock:
@@ -91,7 +86,7 @@ class Framing(Feature):
         self._say()
 
     def on_pair_result(self, news: PairNews) -> None:
-        """Move the cameras to what needed a motion to be placed, and caption it."""
+        """Caption the pair, and move the cameras to what needed a motion to be placed."""
         if isinstance(news, PairMoved):
             self._moved = news.by_hand
         elif isinstance(news, PairOutdated):

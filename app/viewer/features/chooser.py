@@ -128,7 +128,6 @@ class Chooser(Feature):
         }
 
     def _tell(self) -> None:
-        """Name the pair on all pages, unless they know it already."""
         data = self._data()
         if data == self._sent:
             return

@@ -201,7 +201,6 @@ class Desk:
         return decided[2]
 
     def join(self, feature: F) -> F:
-        """Notify a feature of everything from now on; returns it."""
         self.features.append(feature)
         return feature
 
@@ -210,10 +209,7 @@ class Desk:
     def update(
         self, change: Callable[[SessionState], SessionState | None], *, deliver: bool = True
     ) -> None:
-        """Change the state, and tell all features; at once, or when `deliver` is called next.
-
-        ``change`` makes the new state of the present one. It must be quick; None changes nothing.
-        """
+        """Change the state, unless that gives None; tell all now, or at the next `deliver`."""
         with self._changed:
             before = self.now
             after = change(before)
@@ -320,11 +316,7 @@ class Desk:
         self.update(lambda now: replace(now, moving=False, released=params))
 
     def resolve(self, state: ViewState, used: PipelineParams) -> None:
-        """Set the numbers that a fit finds for a state's automatic parameters.
-
-        Nothing is changed if the parameters, the method or the dataset are others by now;
-        or another pair, if the numbers are those of the query.
-        """
+        """Set the numbers of a fit, unless what they were fitted to is another by now."""
 
         def resolved(now: SessionState) -> SessionState | None:
             view = now.view

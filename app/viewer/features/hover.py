@@ -112,7 +112,6 @@ class Hover(Feature):
             self._desk.canvases.show(page, "marks", {**marks, "at": at.x, "color": css(CHOSEN)})
 
     def _look_at_map(self, page: viser.ClientHandle, at: CursorMsg) -> dict[str, object]:
-        """Light up what a cursor is on; gives the card of it."""
         ray, focal = self._ray(page, at), self._desk.canvases.of(page).focal_length(view_of(page))
         names, card = self._world.look(ray.origin, ray.direction, REACH / focal)
         if names != self._lit.get(page, ()):

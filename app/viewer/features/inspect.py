@@ -307,7 +307,6 @@ def profile_svg(ruler: Ruler) -> str:
 
 
 def _runs(finite: Bool[NDArray[np.bool_], "n"]) -> list[slice]:
-    """Find the stretches without a gap."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(int), [0]])))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -315,7 +314,6 @@ def _runs(finite: Bool[NDArray[np.bool_], "n"]) -> list[slice]:
 def _difference(
     result: PairResult, readings: tuple[Reading | None, Reading | None], ratio: float
 ) -> tuple[tuple[str, str], ...]:
-    """Compare a place with the same one in the other submap."""
     query, database = readings
     if query is None or database is None or not (query.trusted and database.trusted):
         return (("query minus database", "unknown: only one of them saw this place"),)

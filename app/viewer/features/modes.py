@@ -59,7 +59,6 @@ class Modes(Feature):
         commands: Commands,
         params: viser.GuiFolderHandle,
     ) -> None:
-        """Set the scenes, the panels, of which one is shown, and the sliders of Tune."""
         self._scenes, self._panels, self._params = (pair, world), panels, params
         for panel in panels.values():
             panel.dock_left()

@@ -261,10 +261,7 @@ _shapes: WeakKeyDictionary[GradientMap, Values] = WeakKeyDictionary()
 
 
 def shape_light(gradient_map: GradientMap) -> Values:
-    """How much lighter crests are than level ground, and how much darker hollows.
-
-    Sky reaches a hollow less. Unlike a light from a side, this leaves no direction unseen.
-    """
+    """How much lighter crests are than level ground, and how much darker hollows: by their sky."""
     known = _shapes.get(gradient_map)
     if known is not None:
         return known

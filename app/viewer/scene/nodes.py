@@ -40,11 +40,7 @@ class Node:
         self._show()
 
     def show(self, inputs: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> None:
-        """Show what ``make`` returns, as `put` does.
-
-        It is called only if something that the properties depend on has changed. The memo returns
-        the same object for the same key, so comparing costs nothing.
-        """
+        """Show what ``make`` returns, which is called only if its inputs have changed."""
         if inputs != self._inputs:
             self.put(**make())
             self._inputs = inputs
@@ -215,7 +211,6 @@ class SubmapNode:
         self._put_label()
 
     def show_frame(self, submap: Submap, *, shown: bool) -> None:
-        """Frame its points where it stands, or do not."""
         extent, place = self._extent, self._placement
         if extent is None or not shown:
             self._outline.hide()

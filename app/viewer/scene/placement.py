@@ -200,11 +200,7 @@ UNKNOWN_CANVAS = Canvas(720.0, 800.0)
 
 
 def height_offset(maps: Maps, T_database_query: SE2, max_std_ratio: float) -> float:
-    """Measure how far the shared ground lies higher in the database than in the query [m].
-
-    The registration is planar; each submap has its own zero of height. The median over the
-    common trusted cells is not moved by a few wrong ones. Zero if nothing is shared.
-    """
+    """How much higher the shared ground is in the database [m]: the median, or 0 without any."""
     _, difference, _ = _common_heights(maps, T_database_query, max_std_ratio)
     return float(np.median(difference)) if len(difference) else 0.0
 

@@ -106,7 +106,6 @@ class AccessControl:
     async def _answer(
         self, answer: Callable[..., Any] | None, connection: ServerConnection, request: Request
     ) -> Response | None:
-        """Answer a request: refuse it, or let viser answer it."""
         reached = cast("tuple[Any, ...]", connection.local_address)
         address = str(reached[0]), int(reached[1])
         wanted = bool(request.headers.get_all("Upgrade"))
@@ -318,7 +317,6 @@ class Connection(ServerConnection):
         self._hold()
 
     def _has_whole_message(self) -> bool:
-        """Whether the next message can be read without waiting for a piece of it."""
         return any(piece.fin for piece in self.recv_messages.frames.queue)
 
 

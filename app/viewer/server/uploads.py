@@ -192,7 +192,6 @@ class Uploads:
         self.on_refused(upload.page, text)
 
     def _refuse(self, page: int, message: Mapping[str, Any], text: str) -> None:
-        """Remove the page's notice of a running upload, and report why."""
         size = int(message.get("size_bytes", 1))
         self._acknowledge(page, message, size, size)
         self.on_refused(page, text)

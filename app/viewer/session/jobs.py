@@ -219,7 +219,6 @@ class Lane(Generic[Job, Result]):
 
     @property
     def newer_waits(self) -> bool:
-        """Whether what runs now is already superseded."""
         return bool(self._waiting)
 
     def forget_turn(self) -> None:

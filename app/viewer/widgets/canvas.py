@@ -77,7 +77,6 @@ class Canvases:
         self._listeners.append(act)
 
     def of(self, page: viser.ClientHandle) -> Canvas:
-        """The canvas of a page, or a usual one until the page reports its own."""
         canvas = self._of(page).canvas or UNKNOWN_CANVAS
         if not self.presents:
             return canvas

@@ -327,7 +327,6 @@ def _words(name: str) -> str:
 
 
 def _rounded(field: Field, raw: object) -> object:
-    """Round what a slider says to a step."""
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         return raw
     return field.rounded(raw)

@@ -37,10 +37,7 @@ class Listing:
 
 
 def inside(root: Path, path: Path) -> Path:
-    """Resolve a path, absolute or relative to a root, that must lie below it, be it by a link.
-
-    The InputError says the same of one that does not exist: nobody learns what exists elsewhere.
-    """
+    """Resolve a path that must lie below a root; of what exists elsewhere nobody learns."""
     real_root = root.resolve()
     with contextlib.suppress(OSError, ValueError, RuntimeError):  # a zero byte; links in a circle
         real = (root / path).resolve(strict=True)

@@ -242,7 +242,6 @@ class DataTab(Feature):
         self._here.visible = listing.is_dataset
 
     def _show_recent(self, opened: str = "") -> None:
-        """Offer the datasets that were open before; one that is just opened joins them."""
         config = self._permissions.config
         if config is not None:
             recent = remember_dataset(config, opened) if opened else recent_datasets(config)

@@ -197,11 +197,7 @@ class AllPairsTab(Feature):
     # The run.
 
     def compare_pairs(self) -> None:
-        """Register all pairs with the parameters as they are; returns at once.
-
-        A run of the same that was cancelled goes on; with other parameters it starts anew. Of a
-        dataset that grows, all that came are registered.
-        """
+        """Register all pairs that came; a run of the same that was cancelled goes on."""
         self._desk.catch_up()
         with self._lock:
             run, before = self._run_of(self._desk.state), self._begun.get(self._desk.state.method)
@@ -498,7 +494,6 @@ def _in_words(value: object) -> str:
 
 
 def _folded(title: str, text: str) -> str:
-    """Write plain text that a click on its title opens."""
     return (
         f'<details style="padding:.2em .75em;font-size:.85em"><summary style="cursor:pointer">'
         f'{escape(title)}</summary><div style="line-height:1.45;{FAINT}">{escape(text)}</div>'

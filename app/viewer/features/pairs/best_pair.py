@@ -203,7 +203,6 @@ class BestPair(Feature):
         self._runner.submit(job)
 
     def _stop(self) -> None:
-        """Stop searching, and say nothing more of it."""
         job = self._running
         if job is not None and self._end(job):
             self._runner.cancel()

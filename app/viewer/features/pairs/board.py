@@ -66,7 +66,6 @@ def draw_board(
 
 
 def _color_bar(high: float, threshold: float) -> str:
-    """Draw the colours of the scores, with a tick at the threshold."""
     scores = np.linspace(0.0, high, int(BAR))
     colors = colorize(score_shares(scores, high, threshold), 0.0, 1.0, "viridis")
     at = min(threshold / high, 1.0) * BAR

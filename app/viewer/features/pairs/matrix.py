@@ -346,7 +346,6 @@ def _shape(outcome: str, x: float, y: float, r: float) -> str:
 
 
 def _shown(pairs: PairCells, shown: tuple[str, str] | None, left: float, side: float) -> str:
-    """Point at the pair shown, whichever way round it is."""
     if shown is None:
         return ""
     places = (pairs.place(*shown), pairs.place(*reversed(shown)))

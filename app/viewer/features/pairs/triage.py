@@ -401,7 +401,6 @@ _Inputs: TypeAlias = tuple[Submap, Submap, SE2 | None, MethodName, MapParams, fl
 
 
 def _inputs_of(state: ViewState, entry: ListedPair) -> _Inputs:
-    """What the picture of a pair depends on."""
     query, database = map(state.dataset.submap, entry.pair)
     motion = entry.closure.registration.T_database_query
     ratio = state.params.features.max_std_ratio

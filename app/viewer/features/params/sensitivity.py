@@ -207,7 +207,6 @@ class SensitivityTool(Feature):
         return known
 
     def _register(self, state: ViewState, field: Field, progress: Progress, memo: Memo) -> None:
-        """Try values over the slider, and then where the verdict changes."""
         known, current = self._trials(state, field), get_path(state.params, field.path)
         assert current is None or isinstance(current, float | int)
         left = [value for value in values_of(field, current) if value not in known]

@@ -77,7 +77,6 @@ class MergedTerrain:
 
     @property
     def area(self) -> float:
-        """Observed ground [m²]."""
         return len(self.positions) * self.resolution**2
 
     @cached_property
@@ -266,7 +265,6 @@ def pieces(
 
 
 def _colors(terrain: MergedTerrain, color: WorldColor, scale: Scale | None, first: int) -> Colors:
-    """Colour the cells, and light them as one ground."""
     if scale is None:
         tints = [submap_color(first + place) for place in range(len(terrain.names))]
         colors = np.array(tints, dtype=np.uint8).reshape(-1, 3)[terrain.owner]

@@ -73,7 +73,6 @@ class Past:
 
     @property
     def words(self) -> str:
-        """What happened then, in a line."""
         happened = words_of(self.moment) if self.decided else "has just come"
         return f"{self.moment.submap_id} · {happened}"
 
@@ -97,7 +96,6 @@ class Past:
 
     @cached_property
     def odometry(self) -> Poses:
-        """The poses by odometry alone, in the same frame."""
         so_far = self.moments[: self.number + 1]
         return self._at_centres({moment.submap_id: moment.odometry for moment in so_far})
 
@@ -153,7 +151,6 @@ class World:
 
     @property
     def dataset(self) -> Dataset:
-        """The submaps that may be drawn."""
         return self.whole if self.past is None else self.past.dataset
 
     @property

@@ -335,7 +335,6 @@ class WorldScene:
         return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
     def _lie(self, world: World, terrain: MergedTerrain) -> None:
-        """Find how feet, tracks and outlines lie over a ground."""
         margin = self._margin = max(LIFT * self._width, LIFT_CELLS * terrain.resolution)
         places = np.array([pose.translation for pose in world.poses.values()]).reshape(-1, 3)
         rises = np.nan_to_num(terrain.heights_near(places[:, :2]) - places[:, 2]) + margin
@@ -355,7 +354,6 @@ class WorldScene:
         return None if terrain is None else terrain.hit(origin + self._origin, direction)
 
     def spot(self, cell: int) -> Float[Array, "3"]:
-        """The position of a cell of the terrain in the scene [m]."""
         assert self.terrain is not None
         return self.terrain.positions[cell] - self._origin
 
@@ -421,7 +419,6 @@ class WorldScene:
         return frame_camera(placed, canvas, forward=forward, parallel=parallel)
 
     def path(self) -> Float[Array, "n 3"]:
-        """The trajectory along the submaps in the scene [m]."""
         poses = {} if self._shown is None else self._shown.poses
         points = [pose.translation - self._origin for pose in poses.values()]
         return np.array(points, dtype=np.float64).reshape(-1, 3)

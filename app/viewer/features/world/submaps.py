@@ -90,7 +90,6 @@ def poses_of(
 
 
 def _in_rows(dataset: Dataset) -> dict[str, Pose]:
-    """Lay submaps without poses out in rows."""
     middles = [Box.of(submap).center - submap.centre for submap in dataset.submaps]
     widest = max(float(np.ptp(submap.points[:, :2], axis=0).max()) for submap in dataset.submaps)
     columns = ceil(sqrt(len(dataset.submaps)))

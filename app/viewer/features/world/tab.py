@@ -220,7 +220,6 @@ class WorldTab(Feature):
         self._submit(relaxing=relax)
 
     def relax(self) -> None:
-        """Show again how the submaps move from odometry to the corrected poses."""
         self.correct(self._target.correction, relax=True)
 
     def move_to(self, share: float) -> None:
@@ -383,7 +382,6 @@ class WorldTab(Feature):
         self._modes.tune(*loop.pair, back_to={page.client_id: start})
 
     def _slide(self, share: float, progress: Progress) -> None:
-        """Move the map, and wait until it rests or moves on."""
         graph, world = self.graph, self.world
         if graph is not None and world is not None and world.options.poses == "corrected":
             self.scene.mover()(graph.at(share))

@@ -283,7 +283,6 @@ class Timeline(Feature):
                 self._add(state, moment, high)
 
     def _add(self, state: ViewState, moment: Moment, fraction: float) -> None:
-        """Replace a moment of other parameters by a new one."""
         number = moment.number
         with self._lock:
             if state.given != self._used or not same_search(state, self._state):
