@@ -12,21 +12,13 @@ from app.cli.detect import tell_closure
 from app.cli.flags import Overwrite
 from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
 from app.cli.terminal import conclude, progress_bar, say, warn, working
+from gpgrad_core import locating
 from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
 from gpgrad_core.io.poses import read_poses
 from gpgrad_core.io.rasters import read_elevation_model
 from gpgrad_core.io.records.files import check_apart, check_output
-from gpgrad_core.locating import (
-    CELLS_A_VOXEL,
-    Located,
-    cut_windows,
-    locate,
-    merge_submaps,
-    parameters_for,
-    width_of,
-)
 from gpgrad_core.mapping.gradient_map import NOISE_STD
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset
@@ -103,11 +95,11 @@ class Locate:
         submaps = list(dataset.submaps)
         if self.merged:
             poses = _poses_of(dataset, self.poses)
-            submaps = [merge_submaps(submaps, poses, CELLS_A_VOXEL * cell)]
-        windows = cut_windows(model, max(map(width_of, submaps)), near)
+            submaps = [locating.merge_submaps(submaps, poses, locating.CELLS_A_VOXEL * cell)]
+        windows = locating.cut_windows(model, max(map(locating.width_of, submaps)), near)
         start = perf_counter()
         with progress_bar("fit") as progress:
-            params = parameters_for(
+            params = locating.parameters_for(
                 submaps,
                 windows,
                 cell,
@@ -121,9 +113,11 @@ class Locate:
             f"{query_map.noise_std:.3g} m, of the map {model_map.noise_std:.3g} m"
         )
         with working("locate", len(windows) * len(submaps)) as (progress, executor):
-            places = locate(submaps, windows, params, executor=executor, progress=progress)
+            places = locating.locate(submaps, windows, params, executor=executor, progress=progress)
         seconds = perf_counter() - start
-        located = Located(dataset, model, self.map.name, submaps, places, params, len(windows))
+        located = locating.Located(
+            dataset, model, self.map.name, submaps, places, params, len(windows)
+        )
         located.write(self.out)
         accepted = located.accepted
         if self.show is not None and not accepted:

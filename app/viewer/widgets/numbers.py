@@ -10,8 +10,6 @@ factors, because one millimetre matters at 5 mm and not at 50 cm. It turns what 
 there into a number in the box beside the slider, as if it had been typed. And it puts a chip onto
 the box, a word that says where the value comes from, and a strip below the slider, which says at
 which values a pair is a loop closure.
-
-It depends on how viser builds its pages, as the bridge does, and browser tests watch it.
 """
 
 import json

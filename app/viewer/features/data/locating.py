@@ -125,28 +125,24 @@ class LocateTool(Feature):
     # What the worker does.
 
     def _locate(self, job: Job, progress: Progress) -> "Located":
-        from gpgrad_core.locating import (  # noqa: PLC0415 - loads slowly
-            CELLS_A_VOXEL,
-            Located,
-            cut_windows,
-            locate,
-            merge_submaps,
-            parameters_for,
-            width_of,
-        )
+        from gpgrad_core import locating  # noqa: PLC0415 - loads slowly
 
         progress(0.0)
         model, name = self._read(job)
         cell = max(model.cell)
         submaps = list(job.state.dataset.submaps)
         if job.merged:
-            submaps = [merge_submaps(submaps, _odometry(submaps), CELLS_A_VOXEL * cell)]
-        windows = cut_windows(model, max(map(width_of, submaps)))
+            submaps = [
+                locating.merge_submaps(submaps, _odometry(submaps), locating.CELLS_A_VOXEL * cell)
+            ]
+        windows = locating.cut_windows(model, max(map(locating.width_of, submaps)))
         fitting, searching = part(progress, 0.0, 0.2), part(progress, 0.2, 1.0)
         asked = job.state.asked
-        params = parameters_for(submaps, windows, cell, asked, progress=fitting)
-        places = locate(submaps, windows, params, progress=searching)
-        return Located(job.state.dataset, model, name, submaps, places, params, len(windows))
+        params = locating.parameters_for(submaps, windows, cell, asked, progress=fitting)
+        places = locating.locate(submaps, windows, params, progress=searching)
+        return locating.Located(
+            job.state.dataset, model, name, submaps, places, params, len(windows)
+        )
 
     def _read(self, job: Job) -> tuple["Elevations", str]:
         """Read the model; of an upload, nothing stays."""
