@@ -25,6 +25,7 @@ from app.viewer.scene.cameras import (
 )
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.state import Camera
+from app.viewer.web import viser_parts
 from gpgrad_core.run import Cancelled
 from tests.support.page import ProtocolPage
 
@@ -76,6 +77,9 @@ def test_a_page_holds_title_legend_and_every_moment(tmp_path: Path) -> None:
     assert "c &amp; d" in page
     assert "<b>metres</b>" in page
     assert "__VISER_EMBED_DATA__" in page
+    hidden = f"{viser_parts()['VISER_PANEL']}, [data-testid=no-graphics-card]"
+    assert f"{hidden} {{ display: none !important; }}" in page  # its playback, and a note
+    assert page.index("'no graphics card'") < page.index("__VISER_EMBED_DATA__")
     assert drawn[0] == 0.0
     assert drawn[-1] == 1.0
     assert len(drawn) == 13
