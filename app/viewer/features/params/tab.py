@@ -20,6 +20,7 @@ from app.viewer.widgets.html import put_in_a_row
 from app.viewer.widgets.panel import Panel
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
+from gpgrad_core.mapping.gradient_map import MapParams
 
 MAIN_PARAMETERS = {
     "map.length_scale": "Length-scale",
@@ -170,19 +171,24 @@ class ParamsTab(Feature):
             self._desk.release(params)
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
-        """Apply what a person has set; noise of which a part is set is automatic no more."""
-        before, terrain = self._desk.state, asked.map
-        names = ("noise_growth", "noise_factor")
-        moved = {
-            name: getattr(terrain, name)
-            for name in names
-            if getattr(terrain, name) != getattr(before.asked.map, name)
-        }
-        used = before.params.map
-        if terrain.noise_std is None and moved:
-            terrain = replace(terrain, noise_std=used.noise_std)
-        has_chosen = before.asked.map.chooses_noise and terrain.noise_std is not None
-        if has_chosen and terrain.noise_model == "auto":
-            kept = {name: getattr(used, name) for name in names} | moved
-            terrain = replace(terrain, noise_model=used.noise_model, **kept)
+        before = self._desk.state
+        terrain = with_noise_set(asked.map, before.asked.map, before.params.map)
         self._desk.change(params=replace(asked, map=terrain), moving=moving)
+
+
+def with_noise_set(asked: MapParams, before: MapParams, used: MapParams) -> MapParams:
+    """Choose the noise model that noise of which a person has set a part belongs to.
+
+    It is the one in use, unless that would ignore the noise set: then it is constant.
+    """
+    names = ("noise_growth", "noise_factor")
+    moved = {name: getattr(asked, name) for name in names}
+    moved = {name: value for name, value in moved.items() if value != getattr(before, name)}
+    if asked.noise_std is None and moved:
+        asked = replace(asked, noise_std=used.noise_std)
+    if not before.chooses_noise or asked.noise_std is None or asked.noise_model != "auto":
+        return asked
+    if not moved and used.noise_model not in ("constant", "range"):
+        return asked  # automatic with a noise is constant
+    kept = {name: getattr(used, name) for name in names} | moved
+    return replace(asked, noise_model=used.noise_model, **kept)

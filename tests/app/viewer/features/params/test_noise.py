@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.features.params.tab import with_noise_set
 from app.viewer.features.params.terrain import NoiseTool, noise_html
 from app.viewer.session.news import PairShown
 from app.viewer.session.state import open_dataset
-from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.mapping.gradient_map import MapParams, NoiseModel, TerrainParams
 from gpgrad_core.mapping.sensor_noise import NoiseOverRange
 from tests.support.desk import make_desk
 from tests.support.synthetic import NUMBERS, make_dataset, make_result
@@ -62,3 +63,20 @@ def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserS
     tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
     assert "Nothing to show" in said(desk.host)
     desk.close()
+
+
+@pytest.mark.parametrize(
+    ("used", "moved", "model"),
+    [
+        ("range", {"noise_std": 0.2}, "range"),
+        ("measured", {"noise_std": 0.2}, "auto"),
+        ("measured", {"noise_factor": 2.0}, "measured"),
+    ],
+)
+def test_noise_that_is_set_is_never_ignored(
+    used: NoiseModel, moved: dict[str, float], model: str
+) -> None:
+    fitted = MapParams(noise_model=used, noise_std=0.03, noise_factor=1.04)
+    chosen = with_noise_set(replace(MapParams(), **moved), MapParams(), fitted)
+    assert chosen.noise_model == model
+    assert chosen.noise_std == moved.get("noise_std", 0.03)
