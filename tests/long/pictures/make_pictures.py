@@ -1,7 +1,7 @@
 """Take the pictures of README and guide: ``python -m tests.long.pictures.make_pictures``.
 
 Those of real ground need the folder of its datasets in ``GPGRAD_DATA``.
-Names take some alone: ``panels``, ``closure``, ``drive``, or ``talk_apollo15`` and so on.
+Names take some alone: ``panels``, ``closure``, ``sliders``, ``drive``, ``talk_apollo15`` …
 """
 
 import io
@@ -41,6 +41,13 @@ MAX_FILM_BYTES = 1_500_000
 DRIVE_SIZE = (960, 600)
 FILM_SIZE = (760, 480)
 FILM_CLIP: Any = {"x": 0, "y": 0, "width": 760, "height": 480}
+SLIDERS = {
+    "Length-scale": ("0.8", "1.5"),
+    "Noise": ("0.1", "0.2"),
+    "Variance mask": ("0.15", "0.05"),
+    "Minimum inliers": ("100", "400"),
+}
+SLIDERS_SIZE = (1088, 640)
 TALK = ("demo", "apollo15", "marsyard2021", "hillside", "sthelens")
 """Datasets whose likeliest pair is shown with the panels put away, as for a talk."""
 MOMENTS = 32
@@ -155,6 +162,25 @@ def drive(browser: Browser) -> None:
     write_film(pictures, [2000, *[450] * (last - 1), 4000], "drive.webp")
 
 
+def sliders(browser: Browser) -> None:
+    """Take each of the four sliders that matter most at some values, and back where it was."""
+    viewer = Viewer(load_dataset(demo_path()), port=0, source=demo_path().name)
+    page = ViewerPage(browser, viewer.url, size=SIZE)
+    pictures: list[Image.Image] = []
+    for slider, values in SLIDERS.items():
+        for value in (None, *values):
+            if value is not None:
+                page.type_value(slider, value)
+            page.settle()
+            page.page.wait_for_timeout(2000)
+            picture = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
+            pictures.append(picture.resize(SLIDERS_SIZE, Image.Resampling.LANCZOS))
+        page.press("Reset parameters")
+    page.close()
+    viewer.close()
+    write_film(pictures, [1600] * len(pictures), "sliders.webp")
+
+
 def explore(page: ViewerPage) -> None:
     """Take the world with its pose graph, corrected, and with the matrix of all pairs beside it."""
     page.press("Explore")
@@ -266,6 +292,8 @@ def main() -> int:
             panels(browser)
         if is_wanted("closure"):
             film(browser)
+        if is_wanted("sliders"):
+            sliders(browser)
         if is_wanted("drive"):
             drive(browser)
         if is_wanted("dataset_page"):
