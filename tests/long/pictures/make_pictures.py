@@ -38,7 +38,6 @@ PICTURES = Path(__file__).resolve().parents[3] / "assets" / "pictures"
 SIZE = (1360, 800)
 MAX_BYTES = 300_000
 MAX_FILM_BYTES = 1_500_000
-DRIVE_SIZE = (960, 600)
 FILM_SIZE = (760, 480)
 FILM_CLIP: Any = {"x": 0, "y": 0, "width": 760, "height": 480}
 SLIDERS = {
@@ -143,8 +142,7 @@ def write_film(pictures: list[Image.Image], milliseconds: list[int], name: str) 
 def drive(browser: Browser) -> None:
     """Take the drive of ``gpgrad demo``: the map as each submap has come."""
     viewer = Viewer(partial(begin_drive, Demo.seed), port=0, source="a simulated drive")
-    page = MapPage(browser, viewer, size=DRIVE_SIZE)
-    page.key("f")
+    page = MapPage(browser, viewer, size=SIZE)
     strip, time = (page.page.get_by_test_id(name) for name in ("timeline", "time"))
     last = loop_params().num_submaps - 1
     page.wait(lambda: strip.get_attribute("data-at") == str(last), "the end", 600)
