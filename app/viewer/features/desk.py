@@ -11,7 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol, TypeAlias, TypedDict, TypeVar
+from typing import Protocol, TypeAlias, TypedDict, TypeVar, runtime_checkable
 
 import viser
 from typing_extensions import Unpack
@@ -95,6 +95,7 @@ Restore: TypeAlias = Callable[[SavedSession], None]
 """Opens what a saved session had open, with all that it had set."""
 
 
+@runtime_checkable
 class Cameras(Protocol):
     """Moves the cameras of the pages."""
 
@@ -108,6 +109,7 @@ class Cameras(Protocol):
         """Do not move the cameras when what is shown changes next."""
 
 
+@runtime_checkable
 class ModeSwitch(Protocol):
     """Changes what the page is for, and so what the scene shows."""
 
