@@ -298,7 +298,8 @@ def test_an_arc_lights_up_its_pair_and_leads_to_it_and_back(person: Any, viewer:
     canvas, before = session.desk.canvases.of(client), view_of(client)
     best = session.world.scene.arches[0]
     arch = session.world.scene.arch((best.query_id, best.database_id))
-    x, y = place_on_screen(before, canvas, arch)[len(arch) // 2].tolist()
+    # A click is at a whole pixel; on this small canvas the next arc may be as near as the next one.
+    x, y = np.round(place_on_screen(before, canvas, arch)[len(arch) // 2]).tolist()
     (query, database), _ = session.world.look(*line_of_sight(before, canvas, x, y), 0.01)
     box = page.locator("canvas").first.bounding_box()
     page.mouse.move(box["x"] + x, box["y"] + y)
