@@ -72,6 +72,8 @@ OF_MAPS = {
 OF_FITS = {
     "scale": "RESOLVED CELLS_ACROSS FEWEST_ACROSS",
     "mapping.fitting": "LEAST_SHARE",
+    "mapping.gradient_map": "MEAN_WIDTH",
+    "gp.mean": "POINTS_AVERAGED",
     "detection.automatic": "SUBMAP_PATCH_POINTS",
 }
 """Constants by module that act on the fit of parameters."""
@@ -218,9 +220,10 @@ def _imports(user: Any, home: Any) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="of constants; all by default")
+    parser.add_argument("--sets", nargs="+", default=tuple(SETS), choices=tuple(SETS))
     asked = parser.parse_args()
     data = Path(os.environ.get("GPGRAD_DATA", "../shared/data"))
-    benches = [prepare(name, data) for name in SETS]
+    benches = [prepare(name, data) for name in asked.sets]
     usual = Outcome.of(map(detect, benches))
     print("| constant | now | half | AP | verdicts | twice | AP | verdicts |")
     print(f"|---|---|---|---|---|---|---|---|\n| as it is | | {usual.row(usual)} | | | |")
