@@ -76,18 +76,23 @@ class LocalMean(PriorMean):
         width = max(width, (POINTS_AVERAGED * extent / (2 * np.pi * len(points))) ** 0.5)
         spacing = max(width / NODES_A_WIDTH, (extent / MOST_NODES) ** 0.5)
         origin = points[:, :2].min(axis=0) - MARGIN * spacing
-        column, row = np.rint((points[:, :2] - origin) / spacing).astype(np.intp).T
-        shape = row.max() + 1 + MARGIN, column.max() + 1 + MARGIN
-        node, middle = row * shape[1] + column, float(np.median(points[:, 2]))
+        place = (points[:, :2] - origin) / spacing
+        first = place.astype(np.intp)
+        rows, columns = first.max(axis=0)[::-1] + 1 + MARGIN
+        middle = float(np.median(points[:, 2]))
         weight = (np.median(noise_std) / noise_std) ** 2
+        right, up = (place - first).T
+        # Shared among four nodes, so that no rounding moves a point from one node to the next.
+        nodes = columns * first[:, 1] + first[:, 0] + np.array([[0], [1], [columns], [columns + 1]])
+        shares = np.stack([(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up])
 
         def averaged(values: Float[Array, "n"], std: float) -> Float[Array, "rows columns"]:
-            sums = np.bincount(node, values, shape[0] * shape[1]).reshape(shape)
+            sums = np.bincount(nodes.ravel(), (shares * values).ravel(), rows * columns)
             # The filter's weights add up to 1; here that of a point at the node itself is 1.
-            blurred = np.asarray(gaussian_filter(sums, std, mode="constant"), np.float64)
-            return 2 * np.pi * std**2 * blurred
+            blurred = gaussian_filter(sums.reshape(rows, columns), std, mode="constant")
+            return 2 * np.pi * std**2 * np.asarray(blurred, np.float64)
 
-        heights = np.zeros(shape)
+        heights = np.zeros((rows, columns))
         for std in (WIDER * NODES_A_WIDTH, NODES_A_WIDTH):
             around = averaged(weight * (points[:, 2] - middle), std)
             heights = (around + LEAST_WEIGHT * heights) / (averaged(weight, std) + LEAST_WEIGHT)

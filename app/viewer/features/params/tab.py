@@ -38,6 +38,7 @@ FOLDED = {
     ),
     "map.signal_std": Widget("Relief"),
     "map.max_points": Widget("Largest cloud", automatic="All points"),
+    "map.prior_mean": Widget("Prior mean", {"local": "heights around", "constant": "one height"}),
     "map.resolution": Widget("Cell size"),
     "map.scale": Widget("Finest detail"),
     "features.max_keypoints": Widget("Most keypoints"),
