@@ -47,7 +47,7 @@ class Accuracy:
         tile_halo: The same for a tile.
     """
 
-    residual: float = 0.001
+    residual: float = 0.003
     ripple: float = 0.022
     lattice_halo: float = 4.0
     tile_halo: float = 3.0

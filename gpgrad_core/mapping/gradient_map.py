@@ -76,10 +76,10 @@ MaxPointsParam: TypeAlias = Annotated[
     ),
 ]
 PriorMeanParam: TypeAlias = Annotated[
-    Literal["local", "constant"],
+    Literal["constant", "local"],
     Doc(
-        "Height to which the map returns where points are few: local (the mean of the heights "
-        "around) or constant (the mean of all heights, as in the paper)."
+        "Height to which the map returns where points are few: constant (the mean of all heights, "
+        "as in the paper) or local (the mean of the heights around)."
     ),
 ]
 MEAN_WIDTH = 1.0
@@ -114,7 +114,7 @@ class TerrainParams:
         Doc("Standard deviation of the terrain's height; automatic: that of the submap's points."),
     ] = None
     max_points: MaxPointsParam = None
-    prior_mean: PriorMeanParam = "local"
+    prior_mean: PriorMeanParam = "constant"
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -164,7 +164,7 @@ class MapParams:
         ),
     ] = None
     max_points: MaxPointsParam = None
-    prior_mean: PriorMeanParam = "local"
+    prior_mean: PriorMeanParam = "constant"
     resolution: Annotated[
         float,
         Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.2)),

@@ -42,7 +42,7 @@ START_LENGTH_SCALE = 0.316
 START_NOISE_STD = 0.05
 """Start of the fit's noise [m]; the paper's "typical elevation accuracy" has no number."""
 PAPER = PipelineParams(
-    map=MapParams(max_points=5000, prior_mean="constant", resolution=0.03),
+    map=MapParams(max_points=5000, resolution=0.03),
     features=FeatureParams(max_keypoints=20_000, detector=DetectorParams("surf")),
     matching=MatchParams(ratio=1.0, mutual=True),
     registration=RegistrationParams(inlier_radius=0.15, trials=5000),

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from gpgrad_core.gp.inference import fit_gp
+from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.mean import LocalMean
 from gpgrad_core.types import Grid
 
@@ -62,3 +64,16 @@ def test_depends_on_heights_around_alone(shift: tuple[float, float]) -> None:
     moved = points + np.array([*shift, 100.0])
     before, after = local_mean(points), local_mean(moved)
     np.testing.assert_allclose(after.at(moved[:, :2]), before.at(points[:, :2]) + 100.0, atol=1e-6)
+
+
+def test_a_map_has_the_mean_in_its_elevation_and_slopes() -> None:
+    points = cloud()
+    kernel = SquaredExponential(0.2, 0.4)
+    fields = fit_gp(points, kernel, 0.02, mean=local_mean(points)).sample(GRID)
+    along_y, along_x = np.gradient(fields.elevation, GRID.resolution)
+    x, y = np.meshgrid(GRID.x, GRID.y)
+    inside = (np.abs(x - 2) < 2.2) & (np.abs(y - 2) < 2.2)
+    expected = 2.0 + 0.3 * np.sin(x) + 0.1 * y
+    assert np.abs(fields.elevation - expected)[inside].max() < 0.03
+    np.testing.assert_allclose(fields.slope[inside, 0], along_x[inside], atol=0.02)
+    np.testing.assert_allclose(fields.slope[inside, 1], along_y[inside], atol=0.02)

@@ -144,7 +144,7 @@ def test_the_parameters_are_the_papers() -> None:
     closure = ClosureParams(min_inliers=9, max_dissimilarity=1e6)
     asked = PipelineParams(map=MapParams(length_scale=0.2, noise_std=0.01), closure=closure)
     params = paper_params(asked)
-    assert params.map == replace(asked.map, max_points=5000, prior_mean="constant")
+    assert params.map == replace(asked.map, max_points=5000)
     assert params.closure == replace(closure, min_score=0.0, others="off")
 
 
