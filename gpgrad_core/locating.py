@@ -22,6 +22,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.folder import index_of
+from gpgrad_core.io.poses import read_poses
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.io.records.closures import rounded, row_of
 from gpgrad_core.io.records.files import write_json
@@ -325,16 +326,79 @@ def spread(location: Location) -> Float[Array, "2"] | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Located:
-    """Where the submaps of a dataset, or its whole traverse, lie on an elevation model."""
+class Search:
+    """What is sought of a dataset, and where on an elevation model."""
 
     dataset: Dataset
     model: Elevations
     name: str  # of the model's file
-    submaps: Sequence[Submap]  # what was sought: the dataset's, or one of them all
+    submaps: Sequence[Submap]  # the dataset's, or one of them all
+    windows: Sequence[Window]
+
+    @classmethod
+    def of(
+        cls,
+        dataset: Dataset,
+        model: Elevations,
+        name: str,
+        *,
+        merged: bool = False,
+        poses: Path | None = None,
+        near: tuple[float, float, float] | None = None,
+    ) -> "Search":
+        """Seek each submap, or the traverse as one, joined by odometry or by a file of poses."""
+        submaps = list(dataset.submaps)
+        if merged:
+            joined = _poses_of(dataset, poses)
+            submaps = [merge_submaps(submaps, joined, CELLS_A_VOXEL * max(model.cell))]
+        windows = cut_windows(model, max(map(width_of, submaps)), near)
+        return cls(dataset, model, name, submaps, windows)
+
+    def fit(
+        self,
+        requested: PipelineParams | None = None,
+        noise_std: float | None = None,
+        progress: Progress = silent,
+    ) -> tuple[PipelineParams, PipelineParams]:
+        """Choose the parameters, as `parameters_for` does."""
+        cell = max(self.model.cell)
+        return parameters_for(self.submaps, self.windows, cell, requested, noise_std, progress)
+
+    def run(
+        self,
+        params: tuple[PipelineParams, PipelineParams],
+        *,
+        executor: Executor | None = None,
+        progress: Progress = silent,
+    ) -> "Located":
+        places = locate(self.submaps, self.windows, params, executor=executor, progress=progress)
+        return Located(**vars(self), places=places, params=params)
+
+
+def _poses_of(dataset: Dataset, path: Path | None) -> list[Pose]:
+    numbers = {submap.id: index_of(submap.id) for submap in dataset.submaps}
+    names = {number: name for name, number in numbers.items() if number is not None}
+    read = {} if path is None else read_poses(path, names)
+    poses: list[Pose] = []
+    for submap in dataset.submaps:
+        number = numbers[submap.id]
+        named = None if number is None else read.get(number)
+        pose = submap.pose_odometry if path is None else named
+        if pose is None:
+            raise InputError(
+                f"{path or dataset.name}: has no pose of submap {submap.id}, and the traverse "
+                "is joined by its poses; add it, or find each submap alone, without --merged"
+            )
+        poses.append(pose)
+    return poses
+
+
+@dataclass(frozen=True, eq=False)
+class Located(Search):
+    """Where the submaps of a dataset, or its whole traverse, lie on an elevation model."""
+
     places: Sequence[Location]  # of each submap
     params: tuple[PipelineParams, PipelineParams]  # of the submaps, and of the windows
-    num_windows: int
 
     @property
     def accepted(self) -> list[Location]:
@@ -353,7 +417,7 @@ class Located:
             "dataset": self.dataset.name,
             "map": self.name,
             "system": self.model.system,
-            "num_windows": self.num_windows,
+            "num_windows": len(self.windows),
             "parameters": asdict(self.params[0]),
             "parameters_of_map": asdict(self.params[1].map),
             "submaps": [_row(place) for place in self.places],

@@ -12,16 +12,13 @@ from app.cli.detect import tell_closure
 from app.cli.flags import Overwrite
 from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
 from app.cli.terminal import conclude, progress_bar, say, warn, working
-from gpgrad_core import locating
 from gpgrad_core.errors import InputError, count
-from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
+from gpgrad_core.io.folder import check_vacant, write_dataset
 from gpgrad_core.io.georeference import read_origin
-from gpgrad_core.io.poses import read_poses
 from gpgrad_core.io.rasters import read_elevation_model
 from gpgrad_core.io.records.files import check_apart, check_output
+from gpgrad_core.locating import Search
 from gpgrad_core.mapping.gradient_map import NOISE_STD
-from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset
 
 
 @dataclass(frozen=True)
@@ -90,36 +87,25 @@ class Locate:
             raise InputError(f"--poses {self.poses}: joins the submaps, which --merged asks for")
         near = None if self.near is None else _read_circle(self.near)
         model = read_elevation_model(self.map)
-        cell = max(model.cell)
         dataset = load(self.dataset)
-        submaps = list(dataset.submaps)
-        if self.merged:
-            poses = _poses_of(dataset, self.poses)
-            submaps = [locating.merge_submaps(submaps, poses, locating.CELLS_A_VOXEL * cell)]
-        windows = locating.cut_windows(model, max(map(locating.width_of, submaps)), near)
+        search = Search.of(
+            dataset, model, self.map.name, merged=self.merged, poses=self.poses, near=near
+        )
         start = perf_counter()
+        asked = self.pipeline.over(base_params(dataset, self.params))
         with progress_bar("fit") as progress:
-            params = locating.parameters_for(
-                submaps,
-                windows,
-                cell,
-                self.pipeline.over(base_params(dataset, self.params)),
-                self.map_noise,
-                progress,
-            )
+            params = search.fit(asked, self.map_noise, progress)
         query_map, model_map = params[0].map, params[1].map
         say(
             f"scale of comparison {query_map.scale:.3g} m; noise of the submaps "
             f"{query_map.noise_std:.3g} m, of the map {model_map.noise_std:.3g} m"
         )
+        windows, submaps = search.windows, search.submaps
         with working("locate", len(windows) * len(submaps)) as (progress, executor):
-            places = locating.locate(submaps, windows, params, executor=executor, progress=progress)
+            located = search.run(params, executor=executor, progress=progress)
         seconds = perf_counter() - start
-        located = locating.Located(
-            dataset, model, self.map.name, submaps, places, params, len(windows)
-        )
         located.write(self.out)
-        accepted = located.accepted
+        accepted, places = located.accepted, located.places
         if self.show is not None and not accepted:
             warn(f"--show {self.show}: no submap was found, so there is nothing to show")
         elif self.show is not None:
@@ -149,21 +135,3 @@ def _read_circle(text: str) -> tuple[float, float, float]:
     if radius <= 0:
         raise InputError(f"--near {text}: the radius must be above 0 m")
     return east, north, radius
-
-
-def _poses_of(dataset: Dataset, path: Path | None) -> list[Pose]:
-    numbers = {submap.id: index_of(submap.id) for submap in dataset.submaps}
-    names = {number: name for name, number in numbers.items() if number is not None}
-    read = {} if path is None else read_poses(path, names)
-    poses: list[Pose] = []
-    for submap in dataset.submaps:
-        number = numbers[submap.id]
-        named = None if number is None else read.get(number)
-        pose = submap.pose_odometry if path is None else named
-        if pose is None:
-            raise InputError(
-                f"{path or dataset.name}: has no pose of submap {submap.id}, and the traverse "
-                "is joined by its poses; leave --merged out, or add it"
-            )
-        poses.append(pose)
-    return poses

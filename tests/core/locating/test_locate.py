@@ -170,7 +170,7 @@ def test_merged_submaps_lie_as_their_poses_say(tmp_path: Path) -> None:
     assert place.verdict.accepted
     np.testing.assert_allclose(place.pose.translation[:2] - CORNER, [12, 30], atol=0.1)
     drive = Dataset("drive", (merged,))
-    located = Located(drive, model(), "dem", [merged], [place], params, len(windows))
+    located = Located(drive, model(), "dem", [merged], windows, [place], params)
     write_dataset(located.shown(), tmp_path / "shown")
     assert [one.id for one in load_dataset(tmp_path / "shown").submaps] == ["merged_000", "map_001"]
 
@@ -181,7 +181,7 @@ def test_the_places_are_shown_as_a_dataset(tmp_path: Path) -> None:
     some = [submap(12, 30, 2.0, "a_1"), submap(20, 20, 0.3, "a_2", seed=1)]
     places = locate(some, windows, params)
     drive = Dataset("drive", tuple(some))
-    located = Located(drive, model(), "dem.tif", some, places, params, len(windows))
+    located = Located(drive, model(), "dem.tif", some, windows, places, params)
     write_dataset(located.shown(), tmp_path / "shown")
     read = load_dataset(tmp_path / "shown")
     assert [one.id for one in read.submaps] == ["a_1", "map_002"]

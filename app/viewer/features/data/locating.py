@@ -1,7 +1,6 @@
 """Find the submaps on a larger elevation model, and show where on it they lie."""
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -28,8 +27,6 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.params import preferred_parameters
 from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run import Progress, part
-from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Submap
 
 if TYPE_CHECKING:  # what this needs loads slowly, and few people use it
     from gpgrad_core.io.rasters import Elevations
@@ -125,24 +122,12 @@ class LocateTool(Feature):
     # What the worker does.
 
     def _locate(self, job: Job, progress: Progress) -> "Located":
-        from gpgrad_core import locating  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.locating import Search  # noqa: PLC0415 - loads slowly
 
         progress(0.0)
-        model, name = self._read(job)
-        cell = max(model.cell)
-        submaps = list(job.state.dataset.submaps)
-        if job.merged:
-            submaps = [
-                locating.merge_submaps(submaps, _odometry(submaps), locating.CELLS_A_VOXEL * cell)
-            ]
-        windows = locating.cut_windows(model, max(map(locating.width_of, submaps)))
-        fitting, searching = part(progress, 0.0, 0.2), part(progress, 0.2, 1.0)
-        asked = job.state.asked
-        params = locating.parameters_for(submaps, windows, cell, asked, progress=fitting)
-        places = locating.locate(submaps, windows, params, progress=searching)
-        return locating.Located(
-            job.state.dataset, model, name, submaps, places, params, len(windows)
-        )
+        search = Search.of(job.state.dataset, *self._read(job), merged=job.merged)
+        params = search.fit(job.state.asked, progress=part(progress, 0.0, 0.2))
+        return search.run(params, progress=part(progress, 0.2, 1.0))
 
     def _read(self, job: Job) -> tuple["Elevations", str]:
         """Read the model; of an upload, nothing stays."""
@@ -183,14 +168,6 @@ class LocateTool(Feature):
         if found is not None:
             name = f"{safe_name(found.dataset.name, 'dataset')}-located.json"
             self._downloads.order(page, name, lambda path, _progress: found.write(path))
-
-
-def _odometry(submaps: Sequence[Submap]) -> list[Pose]:
-    poses = [submap.pose_odometry for submap in submaps]
-    known = [pose for pose in poses if pose is not None]
-    if len(known) < len(poses):
-        raise InputError("the traverse is joined by odometry, and a submap has none")
-    return known
 
 
 def found_html(found: "Located") -> str:
