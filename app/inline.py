@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from app.viewer.features.demo.pages import write_story
-from app.viewer.features.demo.steps import story_of
+from app.viewer.features.demo.story import story_of
 from app.viewer.session.methods import register_pair
 from app.viewer.session.state import ViewState, with_params
 from gpgrad_core.detection import PipelineParams, resolve_parameters

@@ -36,7 +36,7 @@ from gpgrad_core.types import Dataset, Submap
 # A page is served before these are loaded, which takes a second.
 if TYPE_CHECKING:
     from app.viewer.features.session import Session
-    from app.viewer.features.world.first_ground import FirstGround
+    from app.viewer.features.world.scene import FirstGround
     from app.viewer.session.session_file import Opened, SavedSession
 
 EVERYWHERE = ("0.0.0.0", "::")
@@ -82,7 +82,7 @@ class OpeningProgress:
 
     def show(self, submap: Submap) -> None:
         """Show the ground of one more submap, while others are read and parameters are fitted."""
-        from app.viewer.features.world.first_ground import FirstGround  # noqa: PLC0415 - loads slowly
+        from app.viewer.features.world.scene import FirstGround  # noqa: PLC0415 - loads slowly
 
         if self._ground is None:
             self._ground = FirstGround(self._server, self.memo)

@@ -138,7 +138,7 @@ def write_live_page(app: Sphinx, error: Exception | None) -> None:
     if error is not None or app.builder.name != "html":
         return
     from app.viewer.features.demo.pages import write_story  # noqa: PLC0415 - loads slowly
-    from app.viewer.features.demo.steps import story_of  # noqa: PLC0415
+    from app.viewer.features.demo.story import story_of  # noqa: PLC0415
     from app.viewer.session.state import (  # noqa: PLC0415
         open_dataset,
         with_pair,

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 
 from app.viewer.features.demo.film import write_steps
-from app.viewer.features.demo.steps import story_of
+from app.viewer.features.demo.story import story_of
 from app.viewer.session.methods import register_pair
 from app.viewer.session.state import open_dataset, with_pair
 from gpgrad_core.detection import PipelineParams, resolve_parameters

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import viser
 
-from app.viewer.features.demo.film import FILM
-from app.viewer.features.demo.steps import MOTION_SECONDS, STILL
+from app.viewer.features.demo.film import FILM, Shots
+from app.viewer.features.demo.story import MOTION_SECONDS, STILL
 from app.viewer.features.pair import PairScene
+from app.viewer.features.save.figures import Sheet, Written
 from app.viewer.features.world import World, WorldScene, relaxation
 from app.viewer.scene.cameras import (
     FRAMES_A_SECOND,
@@ -39,10 +39,6 @@ from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.slam import OptimisedGraph
 
-if TYPE_CHECKING:
-    from app.viewer.features.demo.shots import Shots
-    from app.viewer.features.save.figures import Written
-
 FADES_A_SECOND = 6
 """Pictures of a fade; each has all colours anew."""
 PAGE = Canvas(*FILM, bottom=BAND * FILM[1])
@@ -59,9 +55,6 @@ def write_story(
     progress: Progress = silent,
 ) -> None:
     """Write the page that shows the steps of a pair over and over, as `film` does."""
-    from app.viewer.features.demo.shots import Shots  # noqa: PLC0415 - loads matplotlib
-    from app.viewer.features.save.figures import Sheet  # noqa: PLC0415
-
     shots = Shots(state, result, keyframes, Sheet(*FILM), memo, dark, PAGE)
     whole = len(shots.keyframes)
 
@@ -75,7 +68,7 @@ def write_story(
     save_page(path, compose, title=title, dark=dark, progress=progress)
 
 
-def _play(server: viser.ViserServer, scene: PairScene, shots: "Shots", k: int) -> Iterator[float]:
+def _play(server: viser.ViserServer, scene: PairScene, shots: Shots, k: int) -> Iterator[float]:
     """Draw what leads to a step, and the step: how long each picture stands [s]."""
     motion, before, here = shots.motion(k), shots.cameras[k - 1], shots.cameras[k]
     asked, result = replace(shots.state, options=shots.keyframes[k].options), shots.result
@@ -102,7 +95,7 @@ def _play(server: viser.ViserServer, scene: PairScene, shots: "Shots", k: int) -
     yield STILL
 
 
-def _in_html(words: "Written") -> tuple[str, str, str]:
+def _in_html(words: Written) -> tuple[str, str, str]:
     """Write title, line and legend of a step."""
     marks = marks_legend(words.counts, words.inliers) if words.counts else ""
     return escape(words.title), escape(words.line), marks + canvas_legend(words.scale, "")

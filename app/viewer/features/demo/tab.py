@@ -3,13 +3,11 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import viser
 
-from app.viewer.features.demo.film import FILMS, SLIDES, write_steps
-from app.viewer.features.demo.pages import write_story, write_world
 from app.viewer.features.demo.story import Story
 from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.features.pair import PairScene
@@ -49,6 +47,9 @@ Playable: TypeAlias = Literal["closure", "pose graph"]
 
 PLAYABLE: tuple[Playable, ...] = get_args(Playable)
 SUBJECTS: tuple[Subject, ...] = get_args(Subject)
+FILMS = {"MP4": ".mp4", "WebM": ".webm", "GIF": ".gif"}
+"""Ending by format. MP4 is of the kind that every page plays where ffmpeg is installed."""
+SLIDES = {"PDF": ".pdf", "PNG": ".zip"}
 NO_STEPS: tuple[str, ...] = ("1",)
 ADD, EARLIER, LATER, REMOVE = EDITS = ("Add this view", "Earlier", "Later", "Remove")
 """What the list of steps offers."""
@@ -160,8 +161,7 @@ class DemoTab(Feature):
         state = shown.state
         name = safe_name(f"{state.dataset.name}_{state.query_id}_{state.database_id}", "film")
         is_dark = self._desk.canvases.is_dark(client)
-        how = write_story if ending == ".html" else write_steps
-        write = partial(how, *shown, steps, self._desk.memo, is_dark)
+        write = partial(_write_steps, *shown, steps, self._desk.memo, is_dark)
         self._downloads.order(client, f"{name}{ending}", write)
 
     # The steps.
@@ -292,9 +292,23 @@ class DemoTab(Feature):
         world = self._world.world
         if self._world.scene.visible and world is not None:
             name = f"{world.dataset.name}_world"
-            write = partial(write_world, world, self._world.graph)
+            write = partial(_write_world, world, self._world.graph)
             self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
         elif self._world.scene.visible or self._desk.state.is_pair:
             self._take(client, ".html")
         else:
             self._bar.failed(NEEDS_TWO)
+
+
+def _write_steps(*what: Any) -> None:
+    from app.viewer.features.demo.film import write_steps  # noqa: PLC0415 - loads matplotlib
+    from app.viewer.features.demo.pages import write_story  # noqa: PLC0415
+
+    *_, path, _progress = what
+    (write_story if path.suffix == ".html" else write_steps)(*what)
+
+
+def _write_world(*what: Any) -> None:
+    from app.viewer.features.demo.pages import write_world  # noqa: PLC0415 - loads matplotlib
+
+    write_world(*what)

@@ -13,13 +13,16 @@ import numpy as np
 import viser
 
 from app.viewer.features.desk import Desk, Detect, Feature, ModeSwitch
-from app.viewer.features.pairs.board import MOST_ROWS, board_html, draw_board, light
 from app.viewer.features.pairs.matrix import (
+    MOST_ROWS,
     OPEN_PAIR,
     MatrixLook,
     PairCells,
+    board_html,
+    draw_board,
     gather_all,
     gather_block,
+    light,
     matrix_html,
     words_of,
 )

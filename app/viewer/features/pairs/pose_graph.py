@@ -1,5 +1,6 @@
 """The pose graph: which closures count, what becomes of each, and the map that they correct."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,19 +11,19 @@ from jaxtyping import Float
 from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.pairs.all_pairs import AllPairsTab
 from app.viewer.features.pairs.model import PHASES
-from app.viewer.features.pairs.pair_list import PairList
 from app.viewer.features.work import Downloads, Work, write_closure_file
 from app.viewer.features.world import SCORE_MAP, Correction, WorldTab
 from app.viewer.scene.layers import Scale
+from app.viewer.server.host import Host
 from app.viewer.session.decisions import DECIDES, count_kinds, with_verdict
 from app.viewer.session.news import AllPairs, DriveNews, SessionState
 from app.viewer.session.state import same_search
-from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
+from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, on_step, one_of
 from app.viewer.widgets.html import summary, table
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection.choosing import likely
-from gpgrad_core.errors import count
+from gpgrad_core.errors import count, score_in_words
 from gpgrad_core.run import Progress
 from gpgrad_core.slam import (
     OptimisedGraph,
@@ -71,6 +72,67 @@ class _Solved:
     graph: OptimisedGraph
     centred: OptimisedGraph  # the same between the submaps' centres
     covariances: Float[Array, "n 3 3"]
+
+
+MOST_LISTED = 300
+"""Longer lists make the browser slow; what is left out is counted."""
+
+
+class PairList:
+    """A dropdown whose first entry chooses no pair."""
+
+    def __init__(
+        self,
+        host: Host,
+        label: str,
+        *,
+        none: str,
+        hint: str,
+        on_choose: Callable[[PairOfIds | None], None],
+    ) -> None:
+        """Add the widgets; the first entry, ``none``, chooses None in place of a pair."""
+        self._none = none
+        self._on_choose = on_choose
+        self._pairs: dict[str, PairOfIds] = {}
+        self._list: viser.GuiDropdownHandle[str] = host.gui.add_dropdown(
+            label, (none,), initial_value=none, hint=hint
+        )
+        steps = host.gui.add_button_group(
+            f"Step {label.lower()}", ("previous", "next"), hint="Step through the list."
+        )
+        on_choice(self._list, lambda _: self._report())
+        on_step(steps, self._step)
+
+    @property
+    def chosen(self) -> PairOfIds | None:
+        return self._pairs.get(self._list.value)
+
+    def offer(self, closures: Iterable[tuple[LoopClosure, str]], chosen: PairOfIds | None) -> None:
+        """Fill the list with pairs, and words on each, up to `MOST_LISTED`; nothing is called."""
+        pairs: dict[str, PairOfIds] = {}
+        for closure, words in closures:
+            score = score_in_words(closure.registration.score)
+            pairs[f"{' → '.join(closure.pair)} · {score} · {words}"] = closure.pair
+        self._pairs = dict(list(pairs.items())[:MOST_LISTED])
+        first = self._none
+        if len(pairs) > MOST_LISTED:
+            first += f" (the first {MOST_LISTED} of {len(pairs):,})"
+        options = (first, *self._pairs)
+        if tuple(self._list.options) != options:
+            self._list.options = options
+        labels = [label for label, pair in self._pairs.items() if pair == chosen]
+        self._list.value = labels[0] if labels else first
+
+    def _step(self, step: int) -> None:
+        labels = list(self._pairs)
+        if not labels:
+            return
+        at = labels.index(self._list.value) + step if self.chosen is not None else 0
+        self._list.value = labels[at % len(labels)]
+        self._report()
+
+    def _report(self) -> None:
+        self._on_choose(self.chosen)
 
 
 class PoseGraphTab(Feature):

@@ -8,27 +8,32 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+import viser
 from jaxtyping import Float, UInt8
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.font_manager import fontManager
 
 from app.viewer.charts import round_marks
-from app.viewer.features.work import GROUND_AND_INK
-from app.viewer.scene.associations import Kind, inlier_color, mark_of
-from app.viewer.scene.cameras import ScaleBar, length_text
+from app.viewer.features.pair import PairDrawing, compose
+from app.viewer.features.work import GROUND_AND_INK, view_of_page
+from app.viewer.scene.associations import Kind, inlier_color, mark_of, shown_counts
+from app.viewer.scene.cameras import ScaleBar, length_text, scale_bar, view_of
 from app.viewer.scene.colors import DATABASE, INLIER, QUERY, Rgb, lookup_table
 from app.viewer.scene.layers import Paint, Scale
-from app.viewer.scene.placement import z_offset_of
+from app.viewer.scene.placement import Canvas, z_offset_of
+from app.viewer.scene.raster import rasterise
 from app.viewer.session.layers import COMPARED, LAYERS, OWN_LEVEL, HeightFrame
-from app.viewer.session.state import ViewState
+from app.viewer.session.news import PairShown
+from app.viewer.session.state import Camera, ViewState
 from app.viewer.widgets.legend import KIND_NAMES
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.evaluation.plots.style import new_figure
+from gpgrad_core.run.memo import Memo
 
 FieldValues: TypeAlias = Float[NDArray[np.floating], "rows columns"]
 
@@ -271,3 +276,56 @@ def save_picture(figure: Figure, path: Path) -> None:
     """
     with LETTERS_STAY():
         figure.savefig(path)
+
+
+View = UInt8[NDArray[np.uint8], "rows columns 3"]
+Words = tuple[str, str]
+
+
+def ground_of(dark: bool) -> Rgb:
+    """The background of a picture."""
+    red, green, blue = (round(255 * part) for part in to_rgb(GROUND_AND_INK[dark][0]))
+    return red, green, blue
+
+
+def pair_view(
+    shown: PairShown,
+    memo: Memo,
+    camera: Camera,
+    canvas: Canvas,
+    words: Words,
+    dark: bool,
+    times: float,
+) -> tuple[View, Written]:
+    """Draw the pair without its page; marks and lines are so many times as wide as there."""
+    state, result = shown
+    drawing = PairDrawing(
+        compose(state, result.maps, result.registration, memo, result=result), result
+    )
+    view = rasterise(drawing.at(), camera, canvas, ground_of(dark), times)
+    return view, written_of(drawing, result, camera, canvas, words, dark)
+
+
+def rendered_view(
+    page: viser.ClientHandle, canvas: Canvas, words: Words, scale: Scale | None, dark: bool
+) -> tuple[View, Written]:
+    """What a page shows, drawn by it."""
+    view = view_of_page(page, round(canvas.width), round(canvas.height))
+    share = view[..., 3:] / 255.0
+    mixed = view[..., :3] * share + np.array(ground_of(dark)) * (1.0 - share)
+    written = Written(*words, scale_bar(view_of(page), canvas), scale, dark)
+    return mixed.round().astype(np.uint8), written
+
+
+def written_of(
+    drawing: PairDrawing,
+    result: PairResult,
+    camera: Camera,
+    canvas: Canvas,
+    words: Words,
+    dark: bool,
+) -> Written:
+    """What stands beside a view of the pair: title, line, scale bar, legend and marks."""
+    picture, bar = drawing.picture, scale_bar(camera, canvas)
+    counts = shown_counts(result, picture.state.options)
+    return Written(*words, bar, picture.scale, dark, counts, inlier_color(result))

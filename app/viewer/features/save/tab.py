@@ -1,6 +1,8 @@
 """The tab Save: the session as a command and as a file, reports, and exports."""
 
+import base64
 import io
+import textwrap
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,8 +15,7 @@ import viser
 from msgspec import Struct
 
 from app.viewer.features.desk import Desk, Detect, Feature, Restore
-from app.viewer.features.pair import headline_of
-from app.viewer.features.save.report import lines_below, report_html
+from app.viewer.features.pair import figures_of, headline_of, in_words, sentences_of, whole_sentence
 from app.viewer.features.work import Downloads, safe_name, send_file, write_closure_file
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
@@ -36,10 +37,13 @@ from app.viewer.widgets.bridge import send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, button, paragraph
 from app.viewer.widgets.status import WorkBar
-from gpgrad_core.detection import DetectionResult, PairResult, infer_map
+from gpgrad_core import __version__
+from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_map
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.records.closures import Decision, report_closures
 from gpgrad_core.io.records.maps import write_map
+from gpgrad_core.params import number_text, parameters_in_words
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.memo import Memo
 
@@ -253,6 +257,75 @@ def write_report(
     path.write_text(page, encoding="utf-8")
 
 
+UNTOUCHED = Decision()
+
+
+def report_html(
+    state: ViewState,
+    result: PairResult,
+    picture: bytes,
+    *,
+    link: str = "",
+    decision: Decision = UNTOUCHED,
+) -> str:
+    """Write the page, which needs no other file, with a picture in PNG; the link may be empty."""
+    pair = f"query {state.query_id}, database {state.database_id}"
+    return render(
+        Path(__file__).with_name("report.html"),
+        title=f"{state.dataset.name}: {pair}",
+        headline=headline_of(result, with_score=True, decided=decision.accepted),
+        threshold=number_text(METHODS[state.method].lowest(state.params)),
+        words=words_of(state, result, decision),
+        note=decision.note,
+        rows=figures_of(state, result),
+        picture=base64.b64encode(picture).decode("ascii"),
+        command=command_of(state, result),
+        link=link,
+        method=state.method,
+        parameters=_parameters(state),
+        version=__version__,
+    )
+
+
+def words_of(state: ViewState, result: PairResult, decision: Decision) -> str:
+    """Write the sentences of the card, without the headline."""
+    sentences = (whole_sentence(sentence.text) for sentence in sentences_of(state, result))
+    return " ".join((in_words(state, result, decided=decision.accepted), *sentences))
+
+
+def lines_below(
+    state: ViewState, result: PairResult, *, link: str = "", decision: Decision = UNTOUCHED
+) -> str:
+    """Write what stands below the figure of a report that is one picture."""
+    figures = " · ".join(f"{row.name} {row.text}" for row in figures_of(state, result))
+    changed = [f"{path} {value}" for path, value, differs in _parameters(state) if differs]
+    blocks = [
+        words_of(state, result, decision),
+        *([f"Note: {decision.note}"] if decision.note else []),
+        figures,
+        f"Method: {state.method}",
+        "Parameters: " + (", ".join(changed) or "defaults"),
+        "Command: " + command_of(state, result),
+        *([f"Link: {link}"] if link else []),
+        f"gpgrad {__version__}",
+    ]
+    # A line is broken where it would leave the picture.
+    folded = textwrap.TextWrapper(140, subsequent_indent="    ", break_on_hyphens=False)
+    return "\n".join(part for block in blocks for part in folded.wrap(block))
+
+
+def command_of(state: ViewState, result: PairResult) -> str:
+    """Write the command that finds the same; say why where there is none."""
+    if not state.source:
+        return "none: the dataset has no path"
+    return detect_command(state, alone=result.closure.context is None)
+
+
+def _parameters(state: ViewState) -> list[tuple[str, str, bool]]:
+    base = METHODS[state.method].adapt(PipelineParams())
+    return parameters_in_words(state.params, state.asked, base)
+
+
 CLOSURES = {
     "JSON": "closures.json",
     "CSV": "closures.csv",
@@ -435,8 +508,15 @@ def _write_picture(
     progress: Progress,
 ) -> None:
     """Draw what a page sees, in a worker's thread: the pair here, all else by the page."""
-    from app.viewer.features.save.figures import Sheet, crop, draw_picture, save_picture  # noqa: PLC0415 - loads matplotlib
-    from app.viewer.features.save.views import ground_of, pair_view, rendered_view  # noqa: PLC0415
+    from app.viewer.features.save.figures import (  # noqa: PLC0415 - loads matplotlib  # noqa: PLC0415
+        Sheet,
+        crop,
+        draw_picture,
+        ground_of,
+        pair_view,
+        rendered_view,
+        save_picture,
+    )
 
     progress(0.0)
     camera, canvases = page.camera, desk.canvases

@@ -14,11 +14,10 @@ from jaxtyping import Float
 
 from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.work import Work, message_of
-from app.viewer.features.world.first_ground import Pace
 from app.viewer.features.world.merged import MergedTerrain, merge
 from app.viewer.features.world.model import Correction, Past, World, between
 from app.viewer.features.world.rail import WorldRail, map_legend
-from app.viewer.features.world.scene import WorldScene
+from app.viewer.features.world.scene import Pace, WorldScene
 from app.viewer.features.world.submaps import (
     FEW,
     PoseSource,

@@ -10,7 +10,7 @@ import pytest
 import viser
 
 from app.viewer.features import canvas as canvas_module
-from app.viewer.features.demo.steps import MOTION_SECONDS
+from app.viewer.features.demo.story import MOTION_SECONDS
 from app.viewer.features.pairs.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.session import Session

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.features.demo.film import FILMS, SLIDES, write_steps
-from app.viewer.features.demo.tab import DemoTab
+from app.viewer.features.demo.film import write_steps
+from app.viewer.features.demo.tab import FILMS, SLIDES, DemoTab
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Camera

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.features.world import merged as merged_module
-from app.viewer.features.world.first_ground import FirstGround
 from app.viewer.features.world.merged import drape, lines_of, merge, pieces, world_scale
 from app.viewer.features.world.model import Correction, World
 from app.viewer.features.world.scene import (
@@ -20,6 +19,7 @@ from app.viewer.features.world.scene import (
     LOOP_PIECES,
     MOST_ARCHES,
     SIDES,
+    FirstGround,
     WorldScene,
     arch_colors,
     arches,

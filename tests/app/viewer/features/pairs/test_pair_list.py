@@ -1,7 +1,7 @@
 import numpy as np
 import viser
 
-from app.viewer.features.pairs.pair_list import MOST_LISTED, PairList
+from app.viewer.features.pairs.pose_graph import MOST_LISTED, PairList
 from gpgrad_core.types import LoopClosure, Registration
 from tests.support.widgets import find, user_sets
 

@@ -8,8 +8,14 @@ import pytest
 import viser
 
 from app.viewer.features.save import tab as save_module
-from app.viewer.features.save.report import lines_below, report_html
-from app.viewer.features.save.tab import ENDINGS, ReportTool, write_dataset_page, write_report
+from app.viewer.features.save.tab import (
+    ENDINGS,
+    ReportTool,
+    lines_below,
+    report_html,
+    write_dataset_page,
+    write_report,
+)
 from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
