@@ -20,7 +20,6 @@ from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.jobs import Capacity, Jobs
-from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.news import (
     AllPairs,
@@ -31,7 +30,7 @@ from app.viewer.session.news import (
     Subject,
     Verdicts,
 )
-from app.viewer.session.session_file import Opened, SavedSession
+from app.viewer.session.session_file import Keyframe, Opened, SavedSession
 from app.viewer.session.state import (
     Camera,
     Probe,

@@ -16,7 +16,7 @@ from gpgrad_core.io.records.closures import (
     rounded,
     row_of,
 )
-from gpgrad_core.reading.records import as_builtins, as_record
+from gpgrad_core.reading.records import as_builtins
 from gpgrad_core.types import Dataset, LoopClosure, PairOfIds, Registration
 
 ACCEPTED, REFUSED = "accepted", "refused"
@@ -106,17 +106,17 @@ def count_kinds(dataset: Dataset, pairs: Iterable[PairOfIds]) -> tuple[int, int]
 
 def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
     """Write decisions as tables of a TOML file; `read_decisions` reads them back."""
-    tables: list[_Table] = []
+    tables: list[DecisionTable] = []
     for pair in decisions.pairs:
         motion, row = decisions.motions.get(pair), None
         if motion is not None:
             row = _without_null(row_of(rounded(LoopClosure(*pair, motion, True, ""))))
         verdict, note = decisions.verdicts.get(pair), decisions.notes.get(pair, "")
-        tables.append(_Table(*pair, verdict, note, row))
+        tables.append(DecisionTable(*pair, verdict, note, row))
     return as_builtins(tables)
 
 
-class _Table(Struct, omit_defaults=True):
+class DecisionTable(Struct, omit_defaults=True):
     """A decision in a session's file."""
 
     query: str
@@ -129,13 +129,8 @@ class _Table(Struct, omit_defaults=True):
         Decision(self.accepted, self.note)
 
 
-class _Tables(Struct):
-    decisions: list[_Table]
-
-
-def read_decisions(tables: object, where: str) -> Decisions:
+def read_decisions(rows: list[DecisionTable], where: str) -> Decisions:
     """Read decisions from the tables of a file, which a message names as ``where``."""
-    rows = as_record({"decisions": tables}, _Tables, where).decisions
     if len(rows) > MOST_DECISIONS:
         raise InputError(
             f"{where}: there are {len(rows):,} decisions; {MOST_DECISIONS:,} is the most"

@@ -6,8 +6,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple, TypeAlias
 
 from app.viewer.session.decisions import Decisions
-from app.viewer.session.keyframes import Keyframe
-from app.viewer.session.session_file import Opened
+from app.viewer.session.session_file import Keyframe, Opened
 from app.viewer.session.state import Subject, ViewState
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
 from gpgrad_core.types import GradientMap, PairOfIds

@@ -18,12 +18,12 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
-from app.viewer.session.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
-from app.viewer.session.keyframes import (
-    CameraTable,
-    Keyframe,
-    read_keyframes,
-    tables_of_keyframes,
+from app.viewer.session.decisions import (
+    MOST_DECISIONS,
+    Decisions,
+    DecisionTable,
+    read_decisions,
+    tables_of,
 )
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.state import (
@@ -50,7 +50,7 @@ from gpgrad_core.params import (
     with_tables,
 )
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.reading.records import Finite, as_record, parse_toml
+from gpgrad_core.reading.records import Finite, as_builtins, as_record, parse_toml
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import Drive, Run
@@ -66,9 +66,13 @@ MOST_ENTRIES = 200
 LINK = "the link"
 PERSONAL = ("dark",)
 """Options of the view that are the reader's own."""
+Place: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
 CameraNumbers: TypeAlias = tuple[
     Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate
 ]
+MOST_KEYFRAMES, MOST_LETTERS = 50, 200
+"""Of a session's file, and of the words of each."""
+Words: TypeAlias = Annotated[str, Meta(max_length=MOST_LETTERS)]
 Whole: TypeAlias = Annotated[int, Meta(ge=-(2**53), le=2**53)]
 RULES = {
     "view": "a table, [view]",
@@ -96,13 +100,41 @@ GROUPS["reference"] = {
 """By the word before its point, what an address sets, each with its kind."""
 
 
+@dataclass(frozen=True)
+class Keyframe:
+    """A step of a demonstration; its motion follows from the step before."""
+
+    title: str  # what the step shows, in a few words
+    line: str = ""  # the figures of it
+    options: ViewOptions = field(default_factory=ViewOptions)
+    camera: Camera | None = None  # None frames what is shown
+    subject: Subject = "pair"
+
+
+class _CameraTable(Struct):
+    position: Place
+    look_at: Place
+
+    @property
+    def camera(self) -> Camera:
+        return Camera(self.position, self.look_at)
+
+
+class _KeyframeTable(Struct, omit_defaults=True, forbid_unknown_fields=True):
+    title: Words
+    line: Words = ""
+    scene: Subject = "pair"
+    view: dict[str, object] = {}
+    camera: _CameraTable | None = None
+
+
 class _SettingTable(Struct, forbid_unknown_fields=True):
     method: MethodName = "gradient"
     params: dict[str, object] = {}
 
 
 class _SavedTable(Struct, forbid_unknown_fields=True):
-    """The file as it is; what options, parameters and decisions may be is in types of their own."""
+    """The file as it is; what options and parameters may be is in types of their own."""
 
     dataset: str | None = None
     query: str | None = None
@@ -112,9 +144,9 @@ class _SavedTable(Struct, forbid_unknown_fields=True):
     view: dict[str, object] = {}
     params: dict[str, object] = {}
     reference: _SettingTable | None = None
-    camera: CameraTable | None = None
-    decisions: list[object] = []
-    keyframes: list[object] = []
+    camera: _CameraTable | None = None
+    decisions: list[DecisionTable] = []
+    keyframes: Annotated[list[_KeyframeTable], Meta(max_length=MOST_KEYFRAMES)] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +242,7 @@ def session_text(
     if decided:
         table["decisions"] = decided
     if keyframes:
-        table["keyframes"] = tables_of_keyframes(keyframes)
+        table["keyframes"] = [_table_of(frame) for frame in keyframes]
     text = f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
     if len(text.encode()) > LARGEST or len(decided) > MOST_DECISIONS:
         raise InputError(
@@ -218,6 +250,12 @@ def session_text(
             "which keeps them all"
         )
     return text
+
+
+def _table_of(frame: Keyframe) -> dict[str, Any]:
+    camera = frame.camera and _CameraTable(frame.camera.position, frame.camera.look_at)
+    view = to_tables(frame.options)
+    return as_builtins(_KeyframeTable(frame.title, frame.line, frame.subject, view, camera))
 
 
 def read_session(path: Path) -> SavedSession:
@@ -248,7 +286,16 @@ def _saved_of(table: object, where: str) -> SavedSession:
         saved.method,
         saved.scene,
         None if reference is None else _setting_of(reference.method, reference.params, where),
-        read_keyframes(saved.keyframes, where, RULES),
+        tuple(
+            Keyframe(
+                row.title,
+                row.line,
+                with_tables(ViewOptions(), row.view, f"{where}, keyframes[{k}], view"),
+                row.camera and row.camera.camera,
+                row.scene,
+            )
+            for k, row in enumerate(saved.keyframes)
+        ),
     )
 
 

@@ -34,7 +34,7 @@ from app.viewer.features.save.figures import (
 from app.viewer.scene.cameras import DOWN, blend, ease
 from app.viewer.scene.placement import BareCanvas, Canvas, frame_camera, glide
 from app.viewer.scene.raster import rasterise
-from app.viewer.session.keyframes import Keyframe
+from app.viewer.session.session_file import Keyframe
 from app.viewer.session.state import FROM_ABOVE, Camera, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult

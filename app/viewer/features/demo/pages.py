@@ -28,7 +28,7 @@ from app.viewer.scene.placement import Canvas
 from app.viewer.server.guard import open_server
 from app.viewer.server.internals import broadcast, messages
 from app.viewer.server.limits import Limits
-from app.viewer.session.keyframes import Keyframe
+from app.viewer.session.session_file import Keyframe
 from app.viewer.session.state import Camera, ViewState
 from app.viewer.web import dress, fill_page_file
 from app.viewer.widgets.canvas import BAND

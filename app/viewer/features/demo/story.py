@@ -13,8 +13,8 @@ from app.viewer.features.world import WorldTab, relaxation
 from app.viewer.scene.cameras import Animation, blend, ease, play, set_view, view_of
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
-from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.layers import COMPARED
+from app.viewer.session.session_file import Keyframe
 from app.viewer.session.state import NEEDS_TWO, ViewOptions, ViewState, registered
 from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import describe_length

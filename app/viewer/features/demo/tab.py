@@ -26,8 +26,8 @@ from app.viewer.scene.cameras import (
     view_of,
 )
 from app.viewer.session.jobs import Lane
-from app.viewer.session.keyframes import MOST_KEYFRAMES, MOST_LETTERS, Keyframe
 from app.viewer.session.news import PairNews, PairShown, SessionState, Subject, SubmapShown
+from app.viewer.session.session_file import MOST_KEYFRAMES, MOST_LETTERS, Keyframe
 from app.viewer.session.state import NEEDS_TWO, Camera
 from app.viewer.widgets.actions import (
     on_choice,

@@ -3,8 +3,7 @@
 Other features may draw on its scene and repeat its verdict, and know nothing else of it.
 """
 
-from app.viewer.features.pair.drawing import PairDrawing
-from app.viewer.features.pair.picture import Picture, boxes_of, compose
+from app.viewer.features.pair.picture import PairDrawing, Picture, boxes_of, compose
 from app.viewer.features.pair.scene import PAIR, PairScene
 from app.viewer.features.pair.verdict import (
     BY_HAND,

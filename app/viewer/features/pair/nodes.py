@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.viewer.charts import round_length
-from app.viewer.features.pair.picture import Picture
+from app.viewer.features.pair.picture import INLIER_WIDTH, OUTLIER_WIDTH, Picture
 from app.viewer.scene.associations import (
     Dots,
     describe_match,
@@ -30,8 +30,6 @@ from app.viewer.session.state import ROLES
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 
-INLIER_WIDTH, OUTLIER_WIDTH = 1.2, 1.0
-"""Of lines [pixels]."""
 END_SIZE, PROBE_SIZE, MATCH_LIFT = 2.2, 1.6, 1.5
 """Of the marks of what is pointed at, and how high an association is lifted out of the ground, in
 keypoints."""
@@ -70,7 +68,7 @@ class AssociationNodes:
 
     def show_keypoints(self, picture: Picture, result: PairResult, scale: float) -> None:
         """Mark the keypoints that the swipe shows, at a scale of the usual marks."""
-        state, size = picture.state, mark_size(picture)
+        state, size = picture.state, picture.mark_size
         kinds = shown_kinds(state.options)
         for index, (node, submap) in enumerate(zip(self._nodes, state.pair, strict=True)):
             if not kinds:
@@ -98,7 +96,7 @@ class AssociationNodes:
 
     def show_lines(self, picture: Picture, result: PairResult) -> None:
         """Join the associated keypoints, and point at those that the state points at."""
-        options, size, placements = picture.state.options, mark_size(picture), picture.placements
+        options, size, placements = picture.state.options, picture.mark_size, picture.placements
         pointed = 1 <= picture.state.match <= len(result.matches)
         for lines, inliers, wanted, color, thickness in (
             (self._inlier_lines, True, options.inlier_lines, inlier_color(result), INLIER_WIDTH),
@@ -135,7 +133,7 @@ class AssociationNodes:
 
     def show_place(self, picture: Picture) -> None:
         """Mark the place that the state points at, with its values, and the same of the other."""
-        probe, size = picture.state.probe, mark_size(picture)
+        probe, size = picture.state.probe, picture.mark_size
         here = 0 if probe is None else ROLES.index(probe.role)
         readings = picture.readings(probe)
         reading, other = readings[here], readings[1 - here]
@@ -150,11 +148,6 @@ class AssociationNodes:
             self._other.hide()
         else:
             _mark(self._other, other, picture.placements[1 - here], size)
-
-
-def mark_size(picture: Picture) -> float:
-    """The size of a keypoint's mark [m]: small beside the submap, but visible."""
-    return float(np.clip(0.006 * picture.boxes[1].size[:2].max(), 0.02, 5.0))
 
 
 def _mark(

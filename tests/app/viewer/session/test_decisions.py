@@ -1,5 +1,3 @@
-import tomllib
-
 import numpy as np
 import pytest
 import tomli_w
@@ -7,12 +5,12 @@ import tomli_w
 from app.viewer.session.decisions import (
     Decisions,
     decide,
-    read_decisions,
     tables_of,
     with_motion,
     with_note,
     with_verdict,
 )
+from app.viewer.session.session_file import parse_session
 from app.viewer.session.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
@@ -86,7 +84,7 @@ def test_decisions_come_back_from_a_file_as_they_were() -> None:
     before = with_note(with_note(before, ("2", "0"), "a dune"), ("3", "1"), 'say "no"')
     before = with_motion(before, ("9", "4"), MOVED)
     text = tomli_w.dumps({"decisions": tables_of(before)})
-    back = read_decisions(tomllib.loads(text)["decisions"], "a file")
+    back = parse_session(text, "a file").decisions
     assert back.verdicts == before.verdicts
     assert back.notes == before.notes
     assert back.trusted == (("3", "0"), ("9", "4"))
@@ -107,12 +105,12 @@ def test_decisions_come_back_from_a_file_as_they_were() -> None:
 )
 def test_a_decision_that_is_none_is_refused(table: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        read_decisions([table], "a file")
+        parse_session(tomli_w.dumps({"decisions": [table]}), "a file")
 
 
 def test_too_many_decisions_are_refused() -> None:
     with pytest.raises(InputError, match="2,000 is the most"):
-        read_decisions(2001 * [{"query": "2", "database": "0"}], "a file")
+        parse_session('[[decisions]]\nquery="2"\ndatabase="0"\n' * 2001, "a file")
 
 
 def test_a_pair_is_named_as_it_is_compared() -> None:

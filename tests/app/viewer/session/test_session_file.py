@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.layers import LAYERS, ColorMap
 from app.viewer.session.session_file import (
     LONGEST,
+    Keyframe,
     address_of,
     parse_session,
     read_address,

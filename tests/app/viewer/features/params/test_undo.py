@@ -2,7 +2,7 @@ import pytest
 import viser
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.params.undo import (
+from app.viewer.features.params.tab import (
     KEEP,
     LEAVE,
     LONGEST,
