@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from html import escape
 
-from app.viewer.charts import round_marks
+from app.viewer.charts import Axis, round_marks
 from app.viewer.scene.associations import Kind, mark_of
 from app.viewer.scene.colors import UNTRUSTED_GREY, Rgb, css, legend_uri, lookup_table
 from app.viewer.scene.layers import NUM_BINS, Histogram, Scale
@@ -77,9 +77,9 @@ def canvas_legend(scale: Scale | None, note: str, width: str = "21.7em") -> str:
     """Write the colour bar on the canvas, of a width in CSS: name, unit and ticks, and a note."""
     if scale is None:
         return ""
-    span = max(scale.high - scale.low, 1e-9)
+    along = Axis(scale.low, scale.high, 0.0, 100.0)
     ticks = "".join(
-        f'<span style="position:absolute;left:{100 * (value - scale.low) / span:.2f}%;'
+        f'<span style="position:absolute;left:{along(value):.2f}%;'
         f'transform:translateX(-50%)"><span style="display:block;width:1px;height:4px;'
         f'margin:0 auto;background:currentColor"></span>{value:g}</span>'
         for value in round_marks(scale.low, scale.high)
@@ -158,9 +158,8 @@ def summary(histogram: Histogram) -> str:
 
 
 def _band(scale: Scale, picked: tuple[float, float] | None) -> str:
-    low, high = picked or (scale.low, scale.low)
-    span = max(scale.high - scale.low, 1e-12)
-    x, end = (WIDTH * min(max((value - scale.low) / span, 0.0), 1.0) for value in (low, high))
+    along = Axis(scale.low, scale.high, 0.0, WIDTH)
+    x, end = map(along, picked or (scale.low, scale.low))
     return (
         f'<rect data-band x="{x:.2f}" width="{end - x:.2f}" height="{HEIGHT:g}" '
         f'fill="currentColor" opacity=".22"/>'
@@ -170,7 +169,7 @@ def _band(scale: Scale, picked: tuple[float, float] | None) -> str:
 def _line(scale: Scale, value: float, color: Rgb | None) -> str:
     if not scale.low <= value <= scale.high or scale.high <= scale.low:
         return ""
-    x = WIDTH * (value - scale.low) / (scale.high - scale.low)
+    x = Axis(scale.low, scale.high, 0.0, WIDTH)(value)
     stroke = "currentColor" if color is None else css(color)
     return (
         f'<path data-testid="mask-threshold" d="M{x:.2f} 0V{HEIGHT:g}" stroke="{stroke}" '

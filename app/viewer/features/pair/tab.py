@@ -125,12 +125,7 @@ class PairTab(Feature):
         with view:
             self._summary = DatasetSummary(host)
             self._summary.show(state.dataset)
-            self._view = ViewPanel(
-                host,
-                state.options,
-                self._choose_options,
-                desk.numbers,
-            )
+            self._view = ViewPanel(host, state.options, self._choose_options, desk.numbers)
             host.gui.add_html(page_script("histogram.js"))
         desk.bridge.on_message("cells", CellsMsg, lambda _, at: self._view.pick(at.low, at.high))
         desk.bridge.on_message("swipe", SwipeMsg, self._swipe)

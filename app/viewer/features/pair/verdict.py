@@ -119,7 +119,7 @@ class VerdictCard:
         self._handle = host.gui.add_html(card_html("No result yet", GREY_GROUND))
         self._folder = host.gui.add_folder("Figures", expand_by_default=False)
         with self._folder:
-            self._figures = host.gui.add_html(framed("figures", "", FIGURES_HEIGHT))
+            self._figures = host.gui.add_html(framed(""))
 
     @property
     def visible(self) -> bool:
@@ -167,7 +167,7 @@ class VerdictCard:
     def _write(self) -> None:
         state, result = self._shown_for or (None, None)
         look: dict[str, Any] = {"faded": self._faded, "stale": self._stale}
-        figures = framed("figures", "", FIGURES_HEIGHT)
+        figures = framed("")
         if state is None:
             card = card_html("No result yet", GREY_GROUND, stale=self._stale)
         elif result is None:
@@ -277,18 +277,14 @@ def figures_html(
     faint = _look(dim=faded, grey=grey)
     rows = [row for row in figures_of(state, result) if row.name != ON_BAR]
     return framed(
-        "figures",
-        f'<div style="{faint}">{_table(rows)}<div style="{ONE_LINE};{FAINT};'
-        f'margin-top:.2em">{escape(says_alone(state, result))}</div></div>',
-        FIGURES_HEIGHT,
+        f'<div style="{faint}">{_table(rows)}<div style="white-space:nowrap;overflow:hidden;'
+        f"text-overflow:ellipsis;{FAINT};"
+        f'margin-top:.2em">{escape(says_alone(state, result))}</div></div>'
     )
 
 
 def _mark(side: Stance | None) -> str:
     return f'<span style="flex:0 0 1em">{"" if side is None else MARKS[side]}</span>'
-
-
-ONE_LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 
 
 def _bar(state: ViewState, result: PairResult) -> str:
@@ -515,10 +511,10 @@ def _table(rows: list[Finding]) -> str:
     )
 
 
-def framed(test_id: str, content: str, height: float) -> str:
-    """A part with its margin, its font size and its height [lines of text]."""
+def framed(content: str) -> str:
+    """The figures with their margin, font size and height."""
     return (
-        f'<div data-testid="{test_id}" style="box-sizing:border-box;height:{height}em;'
+        f'<div data-testid="figures" style="box-sizing:border-box;height:{FIGURES_HEIGHT}em;'
         'overflow:hidden;padding:.2em .75em .3em"><div style="font-size:13px;line-height:1.35">'
         f"{content}</div></div>"
     )
