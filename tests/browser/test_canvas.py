@@ -151,9 +151,7 @@ def read(page: Any, x: float) -> None:
     wait(page, lambda: abs((page.evaluate("window.readAt") or 0) + left - x) < 1)
 
 
-def test_from_above_the_place_under_the_cursor_is_shown_in_both(
-    opened: Callable[..., Any],
-) -> None:
+def test_from_above_a_place_is_shown_in_both(opened: Callable[..., Any]) -> None:
     # Without keypoints, that would draw the mark to them.
     page = opened((1280, 800), layout=FROM_ABOVE, keypoints=False)
     canvas = page.get_by_test_id("over-canvas").bounding_box()
@@ -197,9 +195,7 @@ def on_ground(page: Any, words: str) -> tuple[float, float]:
     raise AssertionError(f"no place says {words!r}")
 
 
-def test_hovering_reads_the_ground_and_a_keypoints_partner_and_a_click_keeps_them(
-    opened: Callable[..., Any], viewer: Viewer
-) -> None:
+def test_hovering_reads_and_a_click_keeps(opened: Callable[..., Any], viewer: Viewer) -> None:
     page = opened((1440, 900))
     page.evaluate(LISTEN)
     read_out_follows(page)
@@ -297,9 +293,7 @@ def test_caption_legend_and_frames_never_overlap_in_present(
     assert page.locator("[data-dock-region]:visible").count() == 0  # no rails
 
 
-def test_the_swipe_is_dragged_in_the_scene_and_moved_by_the_arrows(
-    opened: Callable[..., Any], viewer: Viewer
-) -> None:
+def test_the_swipe_follows_mouse_and_arrows(opened: Callable[..., Any], viewer: Viewer) -> None:
     page = opened((1280, 800), layout="registered", compare="swipe")
     session, handle = viewer.sessions[0], page.get_by_test_id("swipe-handle")
     client = next(iter(pages(session.desk.host).values()))

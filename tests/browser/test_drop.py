@@ -20,9 +20,7 @@ def drag(page: Any, path: Path, *kinds: str) -> None:
         session.send("Input.dispatchDragEvent", {"type": kind, "x": 480, "y": 200, "data": data})
 
 
-def test_a_folder_a_cloud_and_what_is_neither(
-    open_viewer: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_what_is_dropped_is_opened(open_viewer: Callable[..., Any], tmp_path: Path) -> None:
     viewer = open_viewer()
     page = viewer.page
     write_dataset(make_dataset(num_points=300, name="hills"), tmp_path / "hills")

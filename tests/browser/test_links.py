@@ -128,9 +128,7 @@ def press(page: Any, key: str, part: str) -> str:
     return lasting_address(page)
 
 
-def test_a_page_is_reloaded_and_a_link_that_cannot_be_opened_leaves_it(
-    person: Any, viewer: Viewer
-) -> None:
+def test_a_page_is_reloaded_and_outlives_a_wrong_link(person: Any, viewer: Viewer) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
@@ -158,9 +156,7 @@ def test_a_link_is_opened_by_a_slow_browser(person: Any, viewer: Viewer) -> None
 
 
 @guarded
-def test_a_link_is_opened_in_another_browser_and_kept_there(
-    browser: Any, person: Any, viewer: Viewer
-) -> None:
+def test_a_link_is_opened_in_another_browser(browser: Any, person: Any, viewer: Viewer) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
@@ -189,9 +185,7 @@ def test_a_link_is_opened_in_another_browser_and_kept_there(
 
 
 @guarded
-def test_a_link_in_a_page_from_elsewhere_is_clicked(
-    person: Any, viewer: Viewer, tmp_path: Path
-) -> None:
+def test_a_link_in_a_report_is_clicked(person: Any, viewer: Viewer, tmp_path: Path) -> None:
     """As that of a report, which lies on the disk."""
     page = person.new_page()
     page.goto(viewer.link)
@@ -261,9 +255,7 @@ def test_back_and_forward_go_through_pairs_and_modes(person: Any, viewer: Viewer
     assert watcher.evaluate("history.length") == entries
 
 
-def test_the_matrix_beside_the_map_lights_up_its_pairs_and_opens_them(
-    person: Any, viewer: Viewer
-) -> None:
+def test_the_matrix_beside_the_map_lights_up_pairs(person: Any, viewer: Viewer) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
@@ -319,9 +311,7 @@ def test_an_arc_lights_up_its_pair_and_leads_to_it_and_back(person: Any, viewer:
 
 
 @guarded
-def test_a_page_outlives_its_server_and_brings_back_what_was_shown(
-    person: Any, viewer: Viewer
-) -> None:
+def test_a_page_outlives_its_server(person: Any, viewer: Viewer) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)

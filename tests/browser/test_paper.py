@@ -22,9 +22,7 @@ def row(page: "ViewerPage", name: str) -> str:
     return lines[lines.index(name) + 1]
 
 
-def test_the_method_is_chosen_and_left_and_its_limit_on_h_refuses(
-    open_viewer: Callable[..., "ViewerPage"],
-) -> None:
+def test_the_paper_is_chosen_and_left(open_viewer: Callable[..., "ViewerPage"]) -> None:
     page = open_viewer(COARSE)
     by_gradient = page.verdict()
     page.choose("Method", "paper")

@@ -72,9 +72,7 @@ def reach_the_strip(page: Any) -> None:
     assert page.viewer.sessions[0].state is before
 
 
-def test_a_phone_on_its_side_leaves_half_of_itself_to_the_picture(
-    open_viewer: Callable[..., Any],
-) -> None:
+def test_half_of_a_phone_on_its_side_is_picture(open_viewer: Callable[..., Any]) -> None:
     page = open_viewer(size=(HEIGHT, WIDTH))
     canvas = page.page.get_by_test_id("over-canvas")
 

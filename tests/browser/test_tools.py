@@ -26,9 +26,7 @@ def test_sliders_have_names_and_their_arrows_leave_the_camera(page: Any) -> None
     assert client.camera.position == pytest.approx(before, abs=1e-6)
 
 
-def test_a_report_opens_from_disk_and_command_and_link_are_copied(
-    page: Any, browser: Any, tmp_path: Path
-) -> None:
+def test_a_report_opens_and_a_link_is_copied(page: Any, browser: Any, tmp_path: Path) -> None:
     page.tab("Save")
     with page.page.expect_download() as download:
         page.press("Save report")

@@ -57,9 +57,7 @@ def test_the_demo_opens_as_a_stranger_finds_it(open_viewer: Open) -> None:
 
 
 @pytest.mark.slow
-def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
-    page: "ViewerPage",
-) -> None:
+def test_each_slider_moves_all_and_reset_brings_it_back(page: "ViewerPage") -> None:
     card = page.verdict()
     before = {name: page.value(name) for name in MAIN_PARAMETERS.values()}
     for name, pixels in (

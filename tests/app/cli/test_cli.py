@@ -165,9 +165,7 @@ def test_a_mistake_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_pa
         run(["detect", "here", "--out", str(tmp_path / "a.json")])
 
 
-def test_help_tells_the_unit_and_the_range_from_the_bounds(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_help_tells_the_unit_and_the_range_of_bounds(capsys: pytest.CaptureFixture[str]) -> None:
     @dataclass(frozen=True)
     class Params:
         width: Annotated[float, Bounds(0.5, 20_000, 0.5, "m"), Doc("How wide.")] = 2.0

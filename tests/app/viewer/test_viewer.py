@@ -104,9 +104,7 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
     assert len(viewer.sessions) == 1
 
 
-def test_who_works_alone_begins_where_the_others_are_and_goes_on_alone(
-    serve: Serve, visit: Visit
-) -> None:
+def test_who_works_alone_begins_where_the_others_are(serve: Serve, visit: Visit) -> None:
     viewer = serve("shared")
     first, second = visit(viewer), visit(viewer)
     (shared,) = viewer.sessions
@@ -144,9 +142,7 @@ def test_who_works_alone_begins_where_the_others_are_and_goes_on_alone(
 
 
 @pytest.mark.filterwarnings("ignore:Queued a")  # the page leaves while its picture is drawn
-def test_a_separate_session_is_for_itself_and_ends_with_its_page(
-    serve: Serve, visit: Visit
-) -> None:
+def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:
     viewer = serve("separate")
     assert viewer.sessions == ()
     first, second = visit(viewer), visit(viewer)
@@ -200,9 +196,7 @@ class Opener:
 
 
 @pytest.mark.parametrize("sessions", ["shared", "separate"])
-def test_pages_are_served_before_the_dataset_is_there(
-    serve: Serve, visit: Visit, sessions: Sharing
-) -> None:
+def test_pages_come_before_the_dataset(serve: Serve, visit: Visit, sessions: Sharing) -> None:
     opener = Opener()
     viewer = serve(sessions, opener, source="/data/the hills")
     page = ProtocolPage(viewer.url)

@@ -63,9 +63,7 @@ def resize(session: Session, page: FakePage, canvas: Canvas) -> None:
     assert session.wait_idle(120)
 
 
-def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_a_page_that_comes_sees_all(session: Session, arrive: Callable[..., FakePage]) -> None:
     page = arrive()
     assert view_of(page) == session.pair.scene.camera(session.state, WIDE)
     captions = [text for text in page.scripts if '"caption"' in text]
@@ -118,9 +116,7 @@ def test_the_camera_follows_a_query_that_turns_until_it_is_moved_by_hand(
     assert view_of(page) == by_hand
 
 
-def test_full_screen_is_filled_from_the_side_that_was_chosen(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_full_screen_keeps_the_side(session: Session, arrive: Callable[..., FakePage]) -> None:
     page = arrive()
     before = move(page)
     session.desk.update(lambda now: replace(now, left_away=not now.left_away))
@@ -132,9 +128,7 @@ def test_full_screen_is_filled_from_the_side_that_was_chosen(
     np.testing.assert_allclose(units[0], units[1], atol=1e-6)
 
 
-def test_from_above_there_is_no_perspective_until_all_is_framed_again(
-    gui: viser.ViserServer, arrive: Callable[..., FakePage]
-) -> None:
+def test_no_perspective_from_above(gui: viser.ViserServer, arrive: Callable[..., FakePage]) -> None:
     page = arrive()
     before = view_of(page)
     press_key(gui, "T", page=page)
@@ -146,9 +140,7 @@ def test_from_above_there_is_no_perspective_until_all_is_framed_again(
     assert view_of(page) == before
 
 
-def test_in_a_tall_canvas_the_first_page_has_one_behind_the_other(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_a_tall_canvas_has_them_behind(session: Session, arrive: Callable[..., FakePage]) -> None:
     first = arrive(TALL)
     assert session.pair.scene.tall
     assert view_of(first) == session.pair.scene.camera(session.state, TALL)
@@ -158,9 +150,7 @@ def test_in_a_tall_canvas_the_first_page_has_one_behind_the_other(
     assert not session.pair.scene.tall
 
 
-def test_a_shape_that_only_the_camera_tells_counts(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_the_camera_tells_a_shape(session: Session, arrive: Callable[..., FakePage]) -> None:
     page = arrive(TALL)
     page.camera.aspect = 2.0
     session.desk.canvases.measure(page)
@@ -169,9 +159,7 @@ def test_a_shape_that_only_the_camera_tells_counts(
     assert session.desk.canvases.of(page).aspect == pytest.approx(2.0)
 
 
-def test_a_caption_says_that_it_is_out_of_date(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_a_caption_goes_out_of_date(session: Session, arrive: Callable[..., FakePage]) -> None:
     page = arrive()
     session.desk.notify(lambda feature: feature.on_pair_result(PairOutdated()))
     assert "Out of date" in [text for text in page.scripts if '"caption"' in text][-1]
@@ -183,9 +171,7 @@ def test_a_caption_says_that_it_is_out_of_date(
 # Links: pages that come with an address.
 
 
-def test_a_link_shows_the_same_on_the_first_page_that_comes(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_a_link_shows_the_same(session: Session, arrive: Callable[..., FakePage]) -> None:
     page = arrive(
         link="dataset=/data/set&query=002&database=000&view.layer=gradient"
         "&params.closure.min_inliers=5&camera=1,-9,12,0,0,0"
@@ -202,9 +188,7 @@ def test_a_link_shows_the_same_on_the_first_page_that_comes(
     assert "camera=1,-9,12,0,0,0" in addresses[-1]
 
 
-def test_a_page_that_joins_changes_nothing_and_is_told(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_a_page_that_joins_is_told(session: Session, arrive: Callable[..., FakePage]) -> None:
     arrive()
     before = session.state
     same = f"dataset=/data/set&query={before.query_id}&database={before.database_id}"
@@ -213,9 +197,7 @@ def test_a_page_that_joins_changes_nothing_and_is_told(
     assert "joined" in late.notes[-1]
 
 
-def test_a_page_that_joins_what_its_link_shows_sees_it_from_there(
-    arrive: Callable[..., FakePage],
-) -> None:
+def test_a_page_joins_from_where_its_link_looks(arrive: Callable[..., FakePage]) -> None:
     first = arrive(link="dataset=/data/set&query=002&database=000")
     seen = view_of(first)
     late = arrive(link="dataset=/data/set&query=002&database=000&camera=1,-9,12,0,0,0")
@@ -223,9 +205,7 @@ def test_a_page_that_joins_what_its_link_shows_sees_it_from_there(
     assert view_of(first) == seen
 
 
-def test_a_page_goes_to_another_link_and_back(
-    session: Session, arrive: Callable[..., FakePage]
-) -> None:
+def test_a_page_goes_to_a_link_and_back(session: Session, arrive: Callable[..., FakePage]) -> None:
     links = "dataset=/data/set&query=002&database=000", "dataset=/data/set&query=003&database=001"
     page = arrive(link=links[0])
     seen = view_of(page)

@@ -96,9 +96,7 @@ def test_a_refused_change_changes_nothing(server: viser.ViserServer) -> None:
     assert recorder.states == []
 
 
-def test_a_pair_of_a_dataset_that_has_gone_changes_nothing_and_is_told(
-    server: viser.ViserServer,
-) -> None:
+def test_a_pair_that_has_gone_changes_nothing_and_is_told(server: viser.ViserServer) -> None:
     recorder = Recorder()
     desk = make_desk(server, STATE, recorder)
     desk.choose("999", "000")

@@ -111,9 +111,7 @@ def test_an_association_is_chosen_by_number_and_by_step(
     assert asked(recorder) == [14, 1, 1, 11, 0, 13]
 
 
-def test_the_figures_of_an_association_have_their_units(
-    server: viser.ViserServer, inspection: InspectTab
-) -> None:
+def test_figures_of_matches_have_units(server: viser.ViserServer, inspection: InspectTab) -> None:
     distances = np.linspace(0.9, 0.1, len(RESULT.matches))
     result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
     inspection.on_pair_result(PairShown(replace(STATE, match=14), result))

@@ -362,9 +362,7 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
     assert find(host_of(session), "Undo decision").disabled
 
 
-def test_what_was_cancelled_is_not_optimised_later(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_cancelled_stays_so(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     go(session, "Explore")
     monkeypatch.setitem(vars(graph(session)), "_find_closures", lambda: None)
     user_presses(find(host_of(session), "Optimise"))

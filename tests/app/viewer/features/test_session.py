@@ -174,9 +174,7 @@ def test_an_unexpected_error_is_told_and_logged(
     assert message_of(InputError("plain words")) == "plain words"
 
 
-def test_another_dataset_is_opened(
-    session: Session, gui: viser.ViserServer, tmp_path: Path
-) -> None:
+def test_a_dataset_is_opened(session: Session, gui: viser.ViserServer, tmp_path: Path) -> None:
     other = replace(make_dataset(num_points=300, name="other hills"), description="Smaller.")
     other = replace(other, submaps=other.submaps[:3])
     write_dataset(other, tmp_path / "other")
@@ -191,9 +189,7 @@ def test_another_dataset_is_opened(
     assert "Up to date" in said(gui, "status")
 
 
-def test_one_submap_is_shown_without_a_pair(
-    session: Session, gui: viser.ViserServer, tmp_path: Path
-) -> None:
+def test_one_submap_is_no_pair(session: Session, gui: viser.ViserServer, tmp_path: Path) -> None:
     hills = make_dataset(num_points=300)
     write_dataset(replace(hills, submaps=hills.submaps[:1]), tmp_path / "one")
     user_sets(find(gui, "Folder"), str(tmp_path / "one"))

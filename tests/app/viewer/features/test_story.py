@@ -54,9 +54,7 @@ def test_the_steps_are_those_of_a_closure(session: Session) -> None:
     assert session.wait_idle()
 
 
-def test_the_difference_fades_into_the_ground_that_was_there(
-    session: Session, gui: viser.ViserServer
-) -> None:
+def test_the_difference_fades_into_the_ground(session: Session, gui: viser.ViserServer) -> None:
     scene = session.pair.scene
     ground = scene.colors
     shown = demo_of(session).shown
@@ -94,9 +92,7 @@ def test_steps_are_added_renamed_moved_and_removed(session: Session) -> None:
 
 
 @pytest.mark.parametrize("kind", ["WebM", "GIF", "PDF", "PNG"])
-def test_films_and_slides_are_drawn_without_a_page(
-    session: Session, kind: str, tmp_path: Path
-) -> None:
+def test_films_are_drawn_without_a_page(session: Session, kind: str, tmp_path: Path) -> None:
     ending = (FILMS | SLIDES)[kind]
     shown = demo_of(session).shown
     assert shown is not None

@@ -161,9 +161,7 @@ def live(
         drive.close()
 
 
-def test_a_drive_that_goes_on_is_followed_until_its_end(
-    live: tuple[viser.ViserServer, Session, Drive],
-) -> None:
+def test_a_drive_is_followed_until_its_end(live: tuple[viser.ViserServer, Session, Drive]) -> None:
     _, session, drive = live
     assert session.wait_idle(PATIENCE)
     assert session.world.scene.visible  # what there is to see is the map
@@ -220,9 +218,7 @@ def test_words_figures_and_pose_graph_tell_of_the_moment_that_is_drawn(
     assert f"and {neighbours} odometry neighbours." in summary
 
 
-def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
-    live: tuple[viser.ViserServer, Session, Drive],
-) -> None:
+def test_all_that_came_is_known_on_request(live: tuple[viser.ViserServer, Session, Drive]) -> None:
     server, session, drive = live
     desk = session.desk
     comparison = next(f for f in desk.features if isinstance(f, AllPairsTab))
@@ -248,9 +244,7 @@ def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
     assert (session.state.query_id, session.state.database_id) == ("001", "000")
 
 
-def test_who_works_alone_follows_the_drive_too(
-    live: tuple[viser.ViserServer, Session, Drive],
-) -> None:
+def test_who_works_alone_follows_it_too(live: tuple[viser.ViserServer, Session, Drive]) -> None:
     _, session, drive = live
     drive.add(DATASET.submaps[2])
     with started_server() as server:

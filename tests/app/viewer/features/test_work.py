@@ -94,9 +94,7 @@ def test_work_is_cancelled_by_its_button(
     assert told[-1] == (None, "Cancelled.")
 
 
-def test_a_failure_is_one_escaped_line(
-    bar: WorkBar, task: Task, told: Told, work: Work[str, str]
-) -> None:
+def test_a_failure_is_escaped(bar: WorkBar, task: Task, told: Told, work: Work[str, str]) -> None:
     task.error = InputError("<b>: no such file")
     task.go.set()
     work.start("one")

@@ -509,9 +509,7 @@ def test_a_loop_that_the_others_contradict_is_black() -> None:
     assert colors[1].all()
 
 
-def test_the_first_ground_lies_at_its_pose_and_the_map_of_the_session_takes_its_place(
-    server: viser.ViserServer,
-) -> None:
+def test_the_first_ground_gives_way_to_the_map(server: viser.ViserServer) -> None:
     submap = DATASET.submaps[2]
     pose = submap.pose_odometry
     assert pose is not None

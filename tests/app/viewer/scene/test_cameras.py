@@ -85,7 +85,7 @@ def test_a_page_holds_title_legend_and_every_moment(tmp_path: Path) -> None:
     assert len(drawn) == 13
 
 
-def test_a_page_that_reports_late_looks_where_it_was_brought(
+def test_late_reports_change_none(
     server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report may come in the midst of being brought somewhere, and be true already."""

@@ -57,9 +57,7 @@ def test_side_by_side_with_a_motion_the_query_stands_in_the_databases_frame() ->
     yaw=st.floats(-3.0, 3.0),
     tilt=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
 )
-def test_a_tilted_frame_rises_as_its_tilt_says_and_stays_rigid(
-    yaw: float, tilt: tuple[float, float]
-) -> None:
+def test_a_tilted_frame_rises_and_stays_rigid(yaw: float, tilt: tuple[float, float]) -> None:
     placement = Placement(1.0, -2.0, 0.5, yaw, tilt)
     np.testing.assert_allclose(
         placement.pose.rotation @ placement.pose.rotation.T, np.eye(3), atol=1e-12

@@ -41,9 +41,7 @@ def looking_at(target: np.ndarray, origin: tuple[float, float, float]) -> Ray:
     azimuth=st.floats(-np.pi, np.pi),
     tilt=st.floats(0.9, np.pi / 2),
 )
-def test_a_ray_through_a_point_of_the_surface_hits_there_or_before(
-    x: float, y: float, azimuth: float, tilt: float
-) -> None:
+def test_a_ray_through_ground_hits_it(x: float, y: float, azimuth: float, tilt: float) -> None:
     height = sample(MAP.elevation, MAP.grid.to_pixel(np.array([[x, y]])))[0]
     target = PLACE.apply(np.array([[x, y, height]]))[0]
     away = np.array([np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)])

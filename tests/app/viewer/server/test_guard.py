@@ -150,9 +150,7 @@ def fetch(
 
 
 @pytest.mark.parametrize("coding", ["gzip, deflate", "identity"])
-def test_the_own_page_is_served_and_begins_with_our_scripts(
-    served: Served, page: ProtocolPage, coding: str
-) -> None:
+def test_the_own_page_begins_with_scripts(served: Served, page: ProtocolPage, coding: str) -> None:
     for _ in range(2):
         status, headers, body = fetch(served, Accept_Encoding=coding)
         text = gzip.decompress(body) if headers["Content-Encoding"] == "gzip" else body
@@ -346,9 +344,7 @@ def test_what_only_shows_a_value_takes_none(
     bar.remove()
 
 
-def test_what_lies_in_a_folded_drawer_or_another_tab_is_offered(
-    served: Served, page: ProtocolPage
-) -> None:
+def test_what_is_folded_or_in_another_tab_is_offered(served: Served, page: ProtocolPage) -> None:
     """viser folds drawers and opens tabs in the page alone, and a page may have another open."""
     gui = served.server.gui
     tabs = gui.add_tab_group()
@@ -531,9 +527,7 @@ def test_half_a_request_and_pieces_of_nothing_count_too(served: Served) -> None:
         until(lambda: unfinished.num_bytes == 0, "its end")
 
 
-def test_a_file_is_uploaded_and_no_other_page_hears_of_it(
-    served: Served, page: ProtocolPage, other: ProtocolPage
-) -> None:
+def test_one_page_uploads_a_file(served: Served, page: ProtocolPage, other: ProtocolPage) -> None:
     page.upload("Upload", "large.ply", bytes(1_100_000))
     until(lambda: bool(served.told), "the refusal")
     assert "up to 1 MB can be uploaded" in served.told[0]

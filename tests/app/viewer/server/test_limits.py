@@ -15,9 +15,7 @@ SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)),
 
 
 @given(SAID)
-def test_what_is_left_is_in_order_and_loses_no_last_value(
-    said: list[tuple[str | None, int]],
-) -> None:
+def test_what_is_left_has_order_and_the_last_values(said: list[tuple[str | None, int]]) -> None:
     inbox = CoalescingQueue()
     for number, (key, value) in enumerate(said):
         inbox.put(key, {"number": number, "key": key, "value": value}, value)

@@ -160,9 +160,7 @@ def test_beyond_the_budget_the_oldest_results_go(start: Callable[..., MemoryKeep
 
 
 @pytest.mark.parametrize("held", [96, 150])
-def test_memory_is_given_back_before_the_budget_is_passed_and_not_again_and_again(
-    start: Callable[..., MemoryKeeper], held: int
-) -> None:
+def test_memory_is_given_back_early_and_once(start: Callable[..., MemoryKeeper], held: int) -> None:
     machine = Machine(other=held * MB)
     machine.memo(ones, 1, 0)
     start(machine, 100 * MB)
@@ -180,9 +178,7 @@ def test_memory_is_given_back_before_the_budget_is_passed_and_not_again_and_agai
 
 
 @pytest.mark.slow
-def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared(
-    start: Callable[..., MemoryKeeper],
-) -> None:
+def test_a_helper_that_hoards_is_replaced(start: Callable[..., MemoryKeeper]) -> None:
     helper, machine = Helper(), Machine(other=200 * MB)
     keeper = start(machine, 10**12, helper)
     keeper.close()  # measured and relieved by hand

@@ -97,9 +97,7 @@ def test_the_last_value_always_wins_and_nothing_overtakes(work_seconds: float) -
 
 
 @pytest.mark.parametrize(("grace", "shown"), [(60.0, [0, 1, 2, 3, 4, 5]), (0.0, [5])])
-def test_a_run_is_let_finish_while_it_is_younger_than_its_grace(
-    grace: float, shown: list[int]
-) -> None:
+def test_a_run_finishes_within_its_grace(grace: float, shown: list[int]) -> None:
     record, go = Record(), threading.Semaphore(0)
 
     def work(job: int, progress: Progress) -> int:
@@ -237,9 +235,7 @@ def test_an_error_is_a_value_and_the_lane_lives(broken: str) -> None:
     assert record.shown[-2:] == [2, 2]
 
 
-def test_even_a_broken_error_callback_leaves_the_worker_alive(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_broken_error_callback_ends_no_worker(caplog: pytest.LogCaptureFixture) -> None:
     record = Record()
 
     def broken(*_: object) -> None:

@@ -26,9 +26,7 @@ GOOD = {"width": 640, "height": 900.5, "left": 0, "top": 0.0, "right": 20, "bott
         {"below": 601},
     ],
 )
-def test_a_canvas_is_known_once_a_page_says_what_can_be_one(
-    server: viser.ViserServer, bad: dict[str, object]
-) -> None:
+def test_a_canvas_is_what_a_page_says(server: viser.ViserServer, bad: dict[str, object]) -> None:
     bridge, page = Bridge(server), FakePage()
     canvases = Canvases(server, bridge)
     html_says(bridge, "canvas", page)

@@ -149,9 +149,7 @@ def test_no_figure_is_a_negative_zero() -> None:
         (9.54, 9.5, "Score 9.5, just above the threshold of 9.5", "reached"),
     ],
 )
-def test_the_bar_says_how_the_score_stands_to_its_threshold_by_more_than_colour(
-    score: float, lowest: float, words: str, fill: str
-) -> None:
+def test_the_bar_shows_the_threshold(score: float, lowest: float, words: str, fill: str) -> None:
     state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=lowest)))
     result = make_result(state)
     registration = replace(result.registration, score=score)
@@ -220,9 +218,7 @@ def test_a_pair_that_a_hand_has_moved_is_not_judged(server: viser.ViserServer) -
         ({"T_database_query": None}, "No loop closure", "have too little in common"),
     ],
 )
-def test_a_low_score_is_explained_in_words_and_want_of_ground_decides_nothing(
-    changes: dict[str, object], headline: str, words: str
-) -> None:
+def test_a_low_score_is_explained(changes: dict[str, object], headline: str, words: str) -> None:
     result = with_evidence(2.0, -1.0, -1.0)
     registration = replace(result.registration, score=1.0, **changes)  # type: ignore[arg-type]
     closure = classify(registration, STATE.params.closure)
@@ -308,9 +304,7 @@ def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserSe
         (2.0, 2.0, (">2.0000<",)),
     ],
 )
-def test_the_legend_prints_ends_middle_and_unit(
-    low: float, high: float, texts: tuple[str, ...]
-) -> None:
+def test_the_legend_has_ends_and_a_unit(low: float, high: float, texts: tuple[str, ...]) -> None:
     html = legend_html(Scale("Elevation", "m", "viridis", low, high))
     assert "Elevation" in html
     assert "[m]" in html

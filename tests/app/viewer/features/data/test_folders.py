@@ -84,9 +84,7 @@ def test_recent_datasets_are_the_last_ones_that_are_still_there(tmp_path: Path) 
     assert recent_datasets(config) == ()
 
 
-def test_a_list_that_cannot_be_written_is_logged(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_list_not_written_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").write_text("")
     assert remember_dataset(tmp_path / "file", str(tmp_path)) == (str(tmp_path),)
     assert "not saved" in caplog.text

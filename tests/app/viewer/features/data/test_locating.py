@@ -81,9 +81,7 @@ def test_submaps_are_found_listed_and_opened_on_the_model(
     assert tool.result.content == ""
 
 
-def test_what_is_no_model_or_lies_elsewhere_is_told(
-    make: Make, server: viser.ViserServer, tmp_path: Path
-) -> None:
+def test_what_is_no_model_is_told(make: Make, server: viser.ViserServer, tmp_path: Path) -> None:
     (tmp_path / "root").mkdir()
     write_model(tmp_path / "dem.tif")
     tool = make(root=tmp_path / "root")

@@ -208,9 +208,7 @@ def test_a_file_that_was_not_taken_is_told(make: Make, opened: list[Opened]) -> 
     assert opened == []
 
 
-def test_a_saved_session_is_restored_or_refused(
-    make: Make, data: Path, opened: list[Opened]
-) -> None:
+def test_a_session_is_restored_or_refused(make: Make, data: Path, opened: list[Opened]) -> None:
     opening = make()
     opening.restore(SavedSession(dataset=data / "hills", query_id="002"))
     assert rests(opening)
@@ -222,9 +220,7 @@ def test_a_saved_session_is_restored_or_refused(
     assert len(opened) == 1
 
 
-def test_a_recording_is_told_to_be_built_first(
-    make: Make, tmp_path: Path, opened: list[Opened]
-) -> None:
+def test_a_recording_is_to_be_built_first(make: Make, tmp_path: Path, opened: list[Opened]) -> None:
     bag = tmp_path / "drive.bag"
     bag.write_bytes(b"#ROSBAG V2.0\n")
     tab = make()
@@ -327,7 +323,7 @@ def test_a_path_that_no_system_takes_is_refused_in_a_line(
     assert not caplog.records
 
 
-def test_a_name_that_is_shown_otherwise_tells_no_place_either(
+def test_a_refused_name_tells_no_place(
     make: Make, server: viser.ViserServer, tmp_path: Path
 ) -> None:
     tab = make()

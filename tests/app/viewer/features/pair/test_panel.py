@@ -55,9 +55,7 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
     )
 
 
-def test_a_range_is_typed_and_locked_and_let_go_and_values_are_picked(
-    server: viser.ViserServer,
-) -> None:
+def test_a_range_is_typed_locked_let_go_and_picked(server: viser.ViserServer) -> None:
     reported: list[ViewOptions] = []
     panel = ViewPanel(server, ViewOptions(), reported.append)
     panel.show_range(Scale("Gradient", "m/m", "ember", 0.0, 0.8))
@@ -110,9 +108,7 @@ def test_what_a_layout_does_not_show_is_not_offered(server: viser.ViserServer) -
     assert all(handle.visible for handle in offered)
 
 
-def test_what_belongs_to_a_layer_unfolds_below_it_while_it_is_shown(
-    server: viser.ViserServer,
-) -> None:
+def test_what_belongs_to_a_layer_is_shown_while_it_is(server: viser.ViserServer) -> None:
     panel = ViewPanel(server, ViewOptions(), lambda _: None)
 
     def shown(*labels: str) -> list[bool]:

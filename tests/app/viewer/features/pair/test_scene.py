@@ -247,9 +247,7 @@ def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_s
     assert (node(server, "/pair/query/surface").colors == UNTRUSTED_GREY).all()
 
 
-def test_from_above_both_show_the_gradient_and_the_matched_place(
-    server: viser.ViserServer,
-) -> None:
+def test_from_above_both_show_the_gradient_and_the_matched_place(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     above = seeing(layout="gradient from above", layer="mask", clouds=True)
     shown = scene.show(above, RESULT)
@@ -332,9 +330,7 @@ def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) 
     assert handle.point_shading == "flat"
 
 
-def test_registering_moves_the_frame_and_not_what_hangs_on_it(
-    server: viser.ViserServer,
-) -> None:
+def test_registering_moves_the_frame_and_not_what_hangs_on_it(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     scene.show(seeing(layer="gradient", raw_frames=True), RESULT)
     points = node(server, "/pair/query/surface").points.copy()
@@ -370,9 +366,7 @@ def test_each_switch_hides_and_shows_its_nodes(server: viser.ViserServer) -> Non
         assert node(server, name).visible, option
 
 
-def test_points_left_out_are_shown_red_but_not_those_far_outside(
-    server: viser.ViserServer,
-) -> None:
+def test_points_left_out_are_shown_red_but_not_those_far_outside(server: viser.ViserServer) -> None:
     scene, query = PairScene(server), STATE.query
     left_out = np.vstack([query.points[:5] + np.array([0.0, 0.0, 1.0]), [[0.0, 0.0, 1e6]]])
     spoilt = replace(query, left_out=left_out)
@@ -418,9 +412,7 @@ def test_without_a_motion_registered_falls_back_to_side_by_side_where_both_are_s
     assert picture.roles == ("query", "database")
 
 
-def test_a_preview_brings_surfaces_and_leaves_what_was_found(
-    server: viser.ViserServer,
-) -> None:
+def test_a_preview_brings_surfaces_and_leaves_what_was_found(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     assert not scene.knows_motion(STATE)
     scene.show(seeing(layout="registered"), RESULT)

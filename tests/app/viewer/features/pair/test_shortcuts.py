@@ -11,9 +11,7 @@ from tests.support.widgets import find, press_key
 OPENED = Opened(make_dataset(300), needing(8), "", None, needing(8))
 
 
-def test_keys_change_what_is_shown_and_the_widgets_follow(
-    gui: viser.ViserServer, session: Session
-) -> None:
+def test_keys_change_the_view_and_widgets_follow(gui: viser.ViserServer, session: Session) -> None:
     for number, layer in enumerate(LAYERS, start=1):
         press_key(gui, str(number))
         assert session.state.options.layer == layer
@@ -54,9 +52,7 @@ def test_keys_step_through_matches_and_pairs(gui: viser.ViserServer, session: Se
     assert session.state.database_id == "001"
 
 
-def test_the_camera_moves_on_the_page_that_asks_only(
-    gui: viser.ViserServer, session: Session
-) -> None:
+def test_only_the_camera_of_the_page_moves(gui: viser.ViserServer, session: Session) -> None:
     page = FakePage()
     press_key(gui, "T", page=page)
     x, y, z = np.array(page.camera.position) - page.camera.look_at

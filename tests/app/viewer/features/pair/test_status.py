@@ -26,9 +26,7 @@ from tests.support.synthetic import make_dataset
 from tests.support.widgets import html_says, said
 
 
-def test_the_time_goes_to_known_stages_and_a_second_time_takes_none(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_time_goes_to_stages_and_to_none_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(ticks)))
     params = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.1))
@@ -88,9 +86,7 @@ def test_the_status_line_says_whether_the_picture_is_current(made: Made) -> None
     assert stages_text({}) == ""
 
 
-def test_long_work_has_a_bar_and_can_be_cancelled(
-    made: Made, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_work_has_a_bar_and_is_cancelled(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("NOTICED", "LONG", "LATE"):
         monkeypatch.setattr(module, name, 0.0)
     report = made.status.reported(silent)
@@ -108,9 +104,7 @@ def test_long_work_has_a_bar_and_can_be_cancelled(
     assert "out of date" in made.shown
 
 
-def test_a_refusal_can_be_read_though_a_picture_follows_at_once(
-    made: Made, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refusal_outlives_the_next_picture(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     made.status.finished(0.1, "12 cells", newer_waits=False)
     made.status.refused("Folder: may not be <img src=x>")
     made.status.refused("Noise must be from 0.001 to <b>10")

@@ -112,9 +112,7 @@ def test_an_export_compares_as_the_panel_says_and_what_is_missing(
     assert not detection.args[0].registered
 
 
-def test_thresholds_and_rules_are_followed_and_other_parameters_told(
-    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
-) -> None:
+def test_thresholds_are_followed(tab: AllPairsTab, desk: Desk, server: viser.ViserServer) -> None:
     run(tab, server)
     histogram = tab.html["scores"].content
     assert "data-scores" in histogram
@@ -132,9 +130,7 @@ def test_thresholds_and_rules_are_followed_and_other_parameters_told(
     assert "run again" in said(server)
 
 
-def test_another_pair_is_shown_in_the_matrix_and_nobody_is_told_anew(
-    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
-) -> None:
+def test_another_pair_tells_nobody(tab: AllPairsTab, desk: Desk, server: viser.ViserServer) -> None:
     run(tab, server)
     verdicts = desk.verdicts
     desk.change(pair=("002", "001"))
@@ -143,9 +139,7 @@ def test_another_pair_is_shown_in_the_matrix_and_nobody_is_told_anew(
     assert 'data-row="2" data-column="1"' in said(server)
 
 
-def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
-    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
-) -> None:
+def test_a_click_opens_its_pair(tab: AllPairsTab, desk: Desk, server: viser.ViserServer) -> None:
     run(tab, server)
 
     def click(picture: str, **data: object) -> None:
@@ -174,7 +168,7 @@ def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
     assert shown(desk) == ("001", "000")
 
 
-def test_a_drawn_threshold_is_taken_within_its_bounds(
+def test_a_drawn_threshold_is_taken(
     tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
     run(tab, server)
@@ -274,7 +268,7 @@ def test_with_other_parameters_a_run_starts_anew(
     assert comparer.num_known == 0
 
 
-def test_the_matrix_stands_beside_the_picture_and_says_what_was_decided(
+def test_the_matrix_beside_a_picture(
     tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
     board = tab.html["board"]

@@ -148,9 +148,7 @@ def page_says(session: Session, name: str, **data: object) -> None:
 CLOSURES = {("004", "000"): 5.0, ("005", "001"): 7.0, ("006", "002"): 9.0}
 
 
-def test_it_switches_to_the_best_closure_and_says_so(
-    begin: Callable[..., tuple[Session, Held]],
-) -> None:
+def test_it_switches_to_the_best_and_says_so(begin: Callable[..., tuple[Session, Held]]) -> None:
     session, held = begin(CLOSURES)
     assert held.begun.wait(120)
     assert pair(session) == FIRST
@@ -167,9 +165,7 @@ def test_it_switches_to_the_best_closure_and_says_so(
     assert note(session) == ""
 
 
-def test_it_does_nothing_where_the_first_pair_is_a_closure(
-    begin: Callable[..., tuple[Session, Held]],
-) -> None:
+def test_it_does_nothing_where_the_first_closes(begin: Callable[..., tuple[Session, Held]]) -> None:
     session, held = begin({FIRST: 4.0, **CLOSURES})
     assert session.wait_idle(120)
     assert not held.begun.is_set()
@@ -188,9 +184,7 @@ def test_it_says_that_nothing_was_found(begin: Callable[..., tuple[Session, Held
 
 
 @pytest.mark.parametrize("act", ["slider", "touch", "all pairs", "pair"])
-def test_it_never_switches_once_somebody_has_acted(
-    begin: Callable[..., tuple[Session, Held]], act: str
-) -> None:
+def test_it_never_switches_after_acts(begin: Callable[..., tuple[Session, Held]], act: str) -> None:
     session, held = begin(CLOSURES)
     assert held.begun.wait(120)
     if act == "slider":
@@ -239,9 +233,7 @@ def test_what_goes_wrong_is_told(begin: Callable[..., tuple[Session, Held]]) -> 
     assert "could not be scored: 003 spans 10 km" in note(session)
 
 
-def test_the_best_of_all_pairs_is_shown_when_asked(
-    begin: Callable[..., tuple[Session, Held]],
-) -> None:
+def test_the_best_of_all_is_shown_when_asked(begin: Callable[..., tuple[Session, Held]]) -> None:
     compared = make_compared()
     session, _ = begin({FIRST: 4.0, ("003", "000"): 4.0}, dataset=compared.dataset)
     assert session.wait_idle(120)

@@ -119,9 +119,7 @@ def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
 
 
 @pytest.mark.slow
-def test_many_pairs_are_compared_in_processes_and_kept(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_processes_compare_many_pairs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
     here, there = (run_of(COMPARED.dataset, params) for _ in range(2))
     compare_pairs(here, Memo())

@@ -128,9 +128,7 @@ def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> Non
     assert desk.now.decisions.verdicts == {("003", "000"): False}
 
 
-def test_a_note_is_kept_and_follows_the_pair(
-    tab: TriageTab, desk: Desk, server: viser.ViserServer
-) -> None:
+def test_a_note_follows_its_pair(tab: TriageTab, desk: Desk, server: viser.ViserServer) -> None:
     box = find(server, "Note")
     user_sets(box, "a dune ")
     assert desk.now.decisions.notes == {("003", "000"): "a dune"}
@@ -164,9 +162,7 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
     assert "were not compared" in tab.message.content
 
 
-def test_the_list_is_narrowed_and_rows_are_clicked(
-    tab: TriageTab, desk: Desk, server: viser.ViserServer
-) -> None:
+def test_the_list_is_narrowed(tab: TriageTab, desk: Desk, server: viser.ViserServer) -> None:
     user_sets(find(server, "List of"), "wrong")
     assert rests(tab)
     assert tab.list.content.count('data-testid="triage-row"') == 1

@@ -73,9 +73,7 @@ def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserS
         ("measured", {"noise_factor": 2.0}, "measured"),
     ],
 )
-def test_noise_that_is_set_is_never_ignored(
-    used: NoiseModel, moved: dict[str, float], model: str
-) -> None:
+def test_noise_that_is_set_counts(used: NoiseModel, moved: dict[str, float], model: str) -> None:
     fitted = MapParams(noise_model=used, noise_std=0.03, noise_factor=1.04)
     chosen = with_noise_set(replace(MapParams(), **moved), MapParams(), fitted)
     assert chosen.noise_model == model

@@ -153,9 +153,7 @@ def test_what_a_dataset_was_opened_with_is_its_default(server: viser.ViserServer
     assert desk.state.asked == preferred
 
 
-def test_ones_own_are_kept_for_the_next_time(
-    desk: Desk, server: viser.ViserServer, tmp_path: Path
-) -> None:
+def test_ones_own_are_kept(desk: Desk, server: viser.ViserServer, tmp_path: Path) -> None:
     desk.change(params=needing(7))
     user_sets(find(server, "Name"), "<b>")
     user_presses(find(server, "Save preset"))
@@ -192,9 +190,7 @@ def test_a_file_of_parameters_is_taken_or_refused(server: viser.ViserServer) -> 
     assert desk.state.asked == taken
 
 
-def test_a_folder_that_cannot_be_looked_into(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the home of another, no session could begin."""
 
     def refuse(*_: object) -> None:

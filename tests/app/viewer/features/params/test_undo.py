@@ -76,9 +76,7 @@ def test_a_busy_page_says_late_where_a_press_ended(desk: Desk, server: viser.Vis
     assert undone(desk, server) == [needing(9), needing(6), NUMBERS]
 
 
-def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
-    desk: Desk, server: viser.ViserServer
-) -> None:
+def test_an_undo_in_a_drag_goes_to_where_it_began(desk: Desk, server: viser.ViserServer) -> None:
     desk.change(params=needing(20), moving=True)
     user_presses(find(server, "Undo"))
     assert desk.state.params == NUMBERS
@@ -87,9 +85,7 @@ def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
     assert desk.state.params == needing(20)
 
 
-def test_all_is_undone_and_redone_and_the_oldest_are_forgotten(
-    desk: Desk, server: viser.ViserServer
-) -> None:
+def test_all_is_undone_and_the_oldest_are_forgotten(desk: Desk, server: viser.ViserServer) -> None:
     for count in range(1, LONGEST + 9):
         desk.change(params=needing(count))
     steps = undone(desk, server)

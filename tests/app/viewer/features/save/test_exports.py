@@ -154,9 +154,7 @@ def test_a_picture_may_be_twice_as_fine(order: Order) -> None:
     assert fine == pytest.approx((2 * small[0], 2 * small[1]), abs=1)
 
 
-def test_a_picture_that_no_page_can_draw_is_refused(
-    server: viser.ViserServer, order: Order
-) -> None:
+def test_a_picture_that_no_page_draws_is_refused(server: viser.ViserServer, order: Order) -> None:
     assert order("picture", page_of(2100, 900), Picture_size="4 times").files == {}
     assert "8,400 x 3,600 pixels, more than 8,192" in said(server, "export-error")
 
@@ -171,9 +169,7 @@ def test_a_picture_of_lines(desk: Desk, order: Order, kind: str) -> None:
     assert b"/Width 800" in content if kind == "PDF" else b'width="800" height="600"' in content
 
 
-def test_the_ground_and_title_of_a_picture_are_chosen(
-    server: viser.ViserServer, order: Order
-) -> None:
+def test_the_ground_and_title_of_one_are_chosen(server: viser.ViserServer, order: Order) -> None:
     page = order("picture", page_of(400, 300), Picture_ground="light")
     light = page.files["view.png"]
     picture = cv2.imdecode(np.frombuffer(light, np.uint8), cv2.IMREAD_COLOR)
@@ -188,9 +184,7 @@ def test_a_page_that_gives_no_picture_is_told_of(server: viser.ViserServer, orde
     assert "bring its window to the front" in said(server, "export-error")
 
 
-def test_what_cannot_be_exported_is_told(
-    server: viser.ViserServer, desk: Desk, order: Order
-) -> None:
+def test_what_cannot_be_saved_is_told(server: viser.ViserServer, desk: Desk, order: Order) -> None:
     desk.open(Opened(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams(), ""))
     assert order("closures").files == {}
     assert "needs two submaps" in said(server, "export-error")

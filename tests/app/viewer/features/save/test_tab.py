@@ -25,9 +25,7 @@ def tab(desk: Desk, restored: list[SavedSession]) -> None:
     desk.join(SaveTab(desk, restored.append))
 
 
-def test_the_command_follows_the_session_and_is_escaped(
-    server: viser.ViserServer, desk: Desk
-) -> None:
+def test_the_command_follows_and_is_escaped(server: viser.ViserServer, desk: Desk) -> None:
     assert "--pair 003 000" in said(server, "command")
     assert "&lt;b&gt;co&lt;/b&gt;" in said(server, "command")
     assert "<b>co" not in said(server)
