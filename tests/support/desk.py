@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import viser
 
 from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.session import Session
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions
 from app.viewer.session.jobs import Capacity
@@ -15,6 +17,8 @@ from app.viewer.session.state import ViewState
 from gpgrad_core.detection import DetectionResult
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import LoopClosure, PairOfIds
+from tests.support.waiting import PATIENCE
+from tests.support.widgets import find, user_sets
 
 
 class Recorder(Feature):
@@ -45,10 +49,26 @@ def make_desk(
     return desk
 
 
-def rests(feature: Feature) -> bool:
-    """Wait until the session of a feature does nothing."""
-    desk: Desk = vars(feature)["_desk"]
-    return desk.wait_idle(120)
+def desk_of(user: Any) -> Desk:
+    """Find the desk of a session or a feature; a desk is its own."""
+    return user if isinstance(user, Desk) else vars(user).get("desk") or vars(user)["_desk"]
+
+
+def rests(user: Session | Feature) -> bool:
+    """Wait until a session, or that of a feature, does nothing."""
+    return desk_of(user).wait_idle(PATIENCE)
+
+
+def uses(user: Session | Desk | Feature, label: str, value: object = True) -> None:
+    """Use a widget as a person does, and wait for all that follows."""
+    user_sets(find(desk_of(user).host, label), value)
+    assert desk_of(user).wait_idle(PATIENCE)
+
+
+def changes(user: Session | Desk | Feature, **what: Any) -> None:
+    """Change what is shown, and wait for all that follows."""
+    desk_of(user).change(**what)
+    assert desk_of(user).wait_idle(PATIENCE)
 
 
 def go_to(desk: Desk, view: ViewState) -> None:
@@ -63,3 +83,4 @@ def judge(
     found = DetectionResult(tuple(closures), {})
     verdicts = Verdicts(desk.state, desk.state.params, found, outcomes or {})
     desk.update_pairs(lambda pairs: pairs._replace(verdicts=verdicts))
+    assert desk.wait_idle(PATIENCE)

@@ -15,7 +15,7 @@ from app.viewer.session.state import ViewOptions
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset
-from tests.support.desk import Recorder, make_desk
+from tests.support.desk import Recorder, changes, make_desk
 from tests.support.server import started_server
 from tests.support.synthetic import NUMBERS, FakePipeline
 from tests.support.widgets import find, user_sets
@@ -70,13 +70,15 @@ def session(
     user_sets(find(server, "Mode"), "Tune")
     opened = request.module.OPENED
     session.desk.open(replace(opened, dataset=replace(opened.dataset)))  # so it is another one
-    session.desk.change(options=ViewOptions())
-    assert session.wait_idle(120)
+    changes(session, options=ViewOptions())
     return session
 
 
 @pytest.fixture
-def open_session(server: viser.ViserServer) -> Iterator[Callable[..., Session]]:
+def open_session(
+    server: viser.ViserServer,
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> Iterator[Callable[..., Session]]:
     """Open sessions on the server, which end with the test."""
     sessions: list[Session] = []
 

@@ -17,6 +17,7 @@ from app.viewer.scene.placement import Canvas
 from app.viewer.session.news import PairOutdated
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Camera
+from tests.support.desk import changes
 from tests.support.page import FakePage
 from tests.support.synthetic import make_dataset, needing
 from tests.support.widgets import html_says, press_key, said
@@ -78,22 +79,19 @@ def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
 ) -> None:
     page = arrive()
     apart = view_of(page)
-    session.desk.change(options=replace(session.state.options, layout="registered"))
-    assert session.wait_idle(120)
+    changes(session, options=replace(session.state.options, layout="registered"))
     together = view_of(page)
     assert together != apart
     resize(session, page, replace(WIDE, width=1000.0))
     assert view_of(page) not in (apart, together)
     by_hand = move(page)
-    session.desk.change(params=needing(9))
-    assert session.wait_idle(120)
+    changes(session, params=needing(9))
     resize(session, page, WIDE)
     assert view_of(page) == by_hand
     press_key(gui, "R", page=page)
     assert view_of(page) == together
     move(page)
-    session.desk.change(pair=("002", "000"))
-    assert session.wait_idle(120)
+    changes(session, pair=("002", "000"))
     assert view_of(page) == session.pair.scene.camera(session.state, WIDE)
 
 
@@ -103,16 +101,14 @@ def test_the_camera_follows_a_query_that_turns_until_it_is_moved_by_hand(
     page = arrive()
     turned = view_of(page)
     raw = replace(session.state.options, raw_frames=True)
-    session.desk.change(options=raw)
-    assert session.wait_idle(120)
+    changes(session, options=raw)
     assert view_of(page) == session.pair.scene.camera(session.state, WIDE) != turned
     captions = [text for text in page.scripts if '"caption"' in text]
     assert "frame of the database" in captions[0]
     assert "frame of the database" not in captions[-1]
     assert "Gradient (steepness) [m/m]" in captions[-1]  # the colours' legend
     by_hand = move(page)
-    session.desk.change(options=replace(raw, raw_frames=False))
-    assert session.wait_idle(120)
+    changes(session, options=replace(raw, raw_frames=False))
     assert view_of(page) == by_hand
 
 

@@ -18,7 +18,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.types import Dataset
 from tests.support.desk import Recorder, make_desk, rests
 from tests.support.page import FakePage
-from tests.support.synthetic import FakePipeline, make_dataset, needing
+from tests.support.synthetic import make_dataset, needing
 from tests.support.waiting import until
 from tests.support.widgets import html_says, press_key
 
@@ -160,9 +160,9 @@ def test_of_many_submaps_those_around_the_chosen_one_are_listed(server: viser.Vi
     ("subject", "full_screen", "shown"),
     [("pair", False, True), ("world", False, False), ("pair", True, False)],
 )
+@pytest.mark.usefixtures("chooser")
 def test_it_stands_where_a_pair_and_the_panels_are(
     desk: Desk,
-    chooser: Chooser,  # noqa: ARG001
     subject: Subject,
     full_screen: bool,
     shown: bool,
@@ -187,7 +187,6 @@ def test_a_lone_submap_has_no_strip(server: viser.ViserServer) -> None:
 def test_keys_and_strip_change_the_same_pair(
     open_session: Callable[..., Session],
     server: viser.ViserServer,
-    pipeline: FakePipeline,  # noqa: ARG001
 ) -> None:
     session = open_session(make_dataset(300), needing(8))
     press_key(server, "J")

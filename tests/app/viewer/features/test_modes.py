@@ -25,7 +25,7 @@ from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import trajectory_error
 from gpgrad_core.types import Dataset, LoopClosure, Registration
-from tests.support.desk import judge
+from tests.support.desk import changes, judge, uses
 from tests.support.page import FakePage, ProtocolPage
 from tests.support.synthetic import (
     NUMBERS,
@@ -120,8 +120,7 @@ def session(
     user_sets(find(server, "Colour by"), WorldOptions().color)
     for opened in (OTHER, OPENED):
         session.desk.open(opened)
-    session.desk.change(options=ViewOptions())
-    assert session.wait_idle(120)
+    changes(session, options=ViewOptions())
     return session
 
 
@@ -137,8 +136,7 @@ def host_of(session: Session) -> Any:
 
 
 def go(session: Session, mode: str) -> None:
-    user_sets(find(host_of(session), "Mode"), mode)
-    assert session.wait_idle(120)
+    uses(session, "Mode", mode)
 
 
 def graph(session: Session) -> PoseGraphTab:
@@ -177,8 +175,7 @@ def test_a_click_chooses_the_submap_under_it(session: Session, page: ProtocolPag
     assert "odometry off by" in figures
     run_command(host_of(session), "Next submap")
     assert find(host_of(session), "Submap").value == "003"
-    user_sets(find(host_of(session), "Tune it as"), "query")
-    assert session.wait_idle(120)
+    uses(session, "Tune it as", "query")
     assert session.state.query_id == "003"
     assert node(host_of(session), "/pair").visible
 
@@ -203,7 +200,6 @@ def test_names_are_seen_at_the_ground_in_the_middle_of_their_submaps(session: Se
 def test_a_click_on_an_arch_opens_its_pair(session: Session, page: ProtocolPage) -> None:
     go(session, "Explore")
     judge(session.desk, CLOSURES)
-    assert session.wait_idle(120)
     scene = session.world.scene
     loop = next(one for one in scene.arches if one.pair == ("002", "000"))
     arch = scene.arch((loop.query_id, loop.database_id))
@@ -222,8 +218,7 @@ def test_a_click_on_an_arch_opens_its_pair(session: Session, page: ProtocolPage)
 
 def test_colours_that_need_maps_make_them(session: Session) -> None:
     go(session, "Explore")
-    user_sets(find(host_of(session), "Colour by"), "deviation")
-    assert session.wait_idle(60)
+    uses(session, "Colour by", "deviation")
     explore = session.world
     assert "Standard deviation" in said(host_of(session), "legend")
     assert "median deviation" not in said(host_of(session), "submap-figures")
@@ -238,13 +233,11 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     user_presses(find(host_of(session), "Optimise"))
     assert "No closure is accepted" in message(session)
     judge(session.desk, CLOSURES)
-    assert session.wait_idle(120)
     assert "2 loop closures accepted of 3 pairs" in said(host_of(session), "graph-summary")
     assert "0 of 0 odometry neighbours" in said(host_of(session), "graph-summary")
     assert node(host_of(session), "/world/loops/2").visible
     before = np.array(node(host_of(session), "/world/submaps/3").position)
-    user_presses(find(host_of(session), "Optimise"))
-    assert session.wait_idle(120)
+    uses(session, "Optimise")
     assert find(host_of(session), "Poses").value == "corrected"
     assert (
         np.linalg.norm(np.array(node(host_of(session), "/world/submaps/3").position) - before) > 0.2
@@ -263,7 +256,6 @@ def test_a_page_sees_all_of_the_relaxed_map_unless_its_camera_was_moved_by_hand(
 ) -> None:
     go(session, "Explore")
     judge(session.desk, CLOSURES)
-    assert session.wait_idle(120)
     canvas, still, moved = Canvas(1280.0, 1000.0), FakePage(), FakePage()
     there: dict[int, Any] = {0: still, 1: moved}
     for module in (explore_module, canvas_module):
@@ -275,8 +267,7 @@ def test_a_page_sees_all_of_the_relaxed_map_unless_its_camera_was_moved_by_hand(
     assert before == session.world.scene.camera(canvas)
     moved.camera.position = (7.0, -7.0, 30.0)
     by_hand = view_of(moved)
-    user_presses(find(host_of(session), "Optimise"))
-    assert session.wait_idle(120)
+    uses(session, "Optimise")
     assert view_of(still) == session.world.scene.camera(canvas) != before
     assert view_of(moved) == by_hand
 
@@ -286,8 +277,7 @@ def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None
     slider = find(host_of(session), "Before → after")
     assert not slider.visible
     judge(session.desk, CLOSURES)
-    user_presses(find(host_of(session), "Optimise"))
-    assert session.wait_idle(120)
+    uses(session, "Optimise")
     assert slider.visible
     assert slider.value == 1.0
     found = graph(session).graph
@@ -326,7 +316,6 @@ def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -
     assert card.visible
     go(session, "Explore")
     judge(session.desk, CLOSURES)
-    assert session.wait_idle(120)
     assert not card.visible
     assert not sliders(session).visible
     figures = said(host_of(session), "world-figures")
@@ -345,8 +334,7 @@ def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -
 def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> None:
     go(session, "Explore")
     judge(session.desk, CLOSURES)
-    user_presses(find(host_of(session), "Optimise"))
-    assert session.wait_idle(120)
+    uses(session, "Optimise")
     listed = find(host_of(session), "Loop")
     assert [label[:9] for label in listed.options[1:]] == ["002 → 000", "003 → 000", "003 → 001"]
     assert "χ²" in listed.options[1]
@@ -369,7 +357,6 @@ def test_what_was_cancelled_stays_so(session: Session, monkeypatch: pytest.Monke
     session.desk.update_pairs(lambda pairs: pairs._replace(fraction=0.5))
     session.desk.update_pairs(lambda pairs: pairs._replace(fraction=None, message="Cancelled."))
     judge(session.desk, CLOSURES)
-    assert session.wait_idle(120)
     assert graph(session).graph is None
 
 
@@ -385,8 +372,7 @@ def test_another_dataset_has_another_graph(session: Session) -> None:
 
 def test_a_closure_glides_into_place(session: Session) -> None:
     go(session, "Demo")
-    user_sets(find(host_of(session), "Play"), "closure")
-    assert session.wait_idle(120)
+    uses(session, "Play", "closure")
     assert session.state.options.layout == "registered"
     assert find(host_of(session), "Layout").value == "registered"
     registered = np.array(node(host_of(session), "/pair/query").position)
@@ -399,8 +385,7 @@ def test_a_closure_glides_into_place(session: Session) -> None:
 
 
 def test_the_query_is_nudged_and_refined(session: Session, page: ProtocolPage) -> None:
-    user_sets(find(host_of(session), "Move the query"), True)
-    assert session.wait_idle(120)
+    uses(session, "Move the query", True)
     gizmo = node(host_of(session), "/pair/nudge")
     start = np.array(node(host_of(session), "/pair/query").position)
     place = np.add(gizmo.position, (0.15, -0.1, 0.0)).tolist()
@@ -409,13 +394,11 @@ def test_the_query_is_nudged_and_refined(session: Session, page: ProtocolPage) -
     moved = np.array(node(host_of(session), "/pair/query").position)
     np.testing.assert_allclose((moved - start)[:2], [0.15, -0.1], atol=1e-6)
     assert find(host_of(session), "Use in the pose graph").disabled
-    user_presses(find(host_of(session), "Refine"))
-    assert session.wait_idle(120)
+    uses(session, "Refine")
     back = np.array(node(host_of(session), "/pair/query").position)
     np.testing.assert_allclose(back[:2], start[:2], atol=0.05)
     user_presses(find(host_of(session), "Use in the pose graph"))
     (used,) = session.desk.closures
     assert (used.query_id, used.database_id, used.accepted) == ("003", "000", True)
-    user_sets(find(host_of(session), "Move the query"), False)
-    assert session.wait_idle(120)
+    uses(session, "Move the query", False)
     assert node(host_of(session), "/pair/nudge") is None

@@ -25,6 +25,7 @@ from gpgrad_core.io.folder import write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
+from tests.support.desk import changes, uses
 from tests.support.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.support.waiting import PATIENCE, until
 from tests.support.widgets import find, node, said, user_presses, user_sets
@@ -48,7 +49,6 @@ def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.Viser
 
 def test_each_message_of_a_page_has_one_listener(
     open_session: Callable[..., Session],
-    pipeline: FakePipeline,  # noqa: ARG001
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     names, hear = list[str](), Bridge.hear
@@ -66,11 +66,9 @@ def test_each_message_of_a_page_has_one_listener(
 def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
     session: Session, gui: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
-    user_sets(find(gui, "Minimum inliers"), 20)
-    assert session.wait_idle(120)
+    uses(session, "Minimum inliers", 20)
     assert "No loop closure" in said(gui, "verdict")
-    user_presses(find(gui, "Reset parameters"))
-    assert session.wait_idle(120)
+    uses(session, "Reset parameters")
     assert "No loop closure" not in said(gui, "verdict")
     assert find(gui, "Minimum inliers").value == START.closure.min_inliers
     assert pipeline.calls[-1] == START
@@ -96,8 +94,7 @@ def test_a_gp_slider_shows_coarse_surfaces_first(
         return make_result(state)
 
     pipeline.make = make
-    user_sets(find(gui, "Length-scale"), 0.5)
-    assert session.wait_idle(120)
+    uses(session, "Length-scale", 0.5)
     line, card, size = before[0]  # then automatic numbers are fitted anew
     assert "Coarse picture" in line
     assert ("opacity:.4" in card) == faded  # the last verdict fades if it would stand too long
@@ -122,8 +119,7 @@ def test_sliders_of_later_stages_need_no_coarse_surfaces(
 
     pipeline.make = make
     for name, value in (("Inlier radius", 0.6), ("Minimum inliers", 20), ("Minimum score", 9.0)):
-        user_sets(find(gui, name), value)
-        assert session.wait_idle(120)
+        uses(session, name, value)
     assert len(before) == 3
     assert not any("shown" in line or "Coarse" in line for line in before)
 
@@ -139,8 +135,7 @@ def test_what_takes_long_is_announced_though_it_reports_nothing(
         return make_result(state)
 
     pipeline.make = make
-    user_sets(find(gui, "Minimum inliers"), 20)
-    assert session.wait_idle(2 * PATIENCE)
+    uses(session, "Minimum inliers", 20)
     assert announced == [True]
     assert "Up to date" in said(gui, "status")
 
@@ -149,14 +144,12 @@ def test_an_error_is_told_and_the_next_slider_works(
     session: Session, gui: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
     pipeline.error = InputError("003 spans 10,000 m x 10,000 m: raise the resolution")
-    user_sets(find(gui, "Length-scale"), 0.5)
-    assert session.wait_idle(120)
+    uses(session, "Length-scale", 0.5)
     assert "raise the resolution" in said(gui, "status")
     assert "out of date" in said(gui, "status")
     assert "Loop closure" in said(gui, "verdict")  # the last good one stays
     pipeline.error = None
-    user_sets(find(gui, "Length-scale"), 0.6)
-    assert session.wait_idle(120)
+    uses(session, "Length-scale", 0.6)
     assert "Up to date" in said(gui, "status")
 
 
@@ -167,8 +160,7 @@ def test_an_unexpected_error_is_told_and_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     pipeline.error = ZeroDivisionError("division by zero")
-    user_sets(find(gui, "Noise [m]"), 0.1)
-    assert session.wait_idle(120)
+    uses(session, "Noise [m]", 0.1)
     assert "Unexpected ZeroDivisionError: division by zero" in said(gui, "status")
     assert "unexpected error" in caplog.text
     assert message_of(InputError("plain words")) == "plain words"
@@ -180,8 +172,7 @@ def test_a_dataset_is_opened(session: Session, gui: viser.ViserServer, tmp_path:
     write_dataset(other, tmp_path / "other")
     user_sets(find(gui, "Minimum inliers"), 30)
     user_sets(find(gui, "Folder"), str(tmp_path / "other"))
-    user_sets(find(gui, "Open"), "Load")
-    assert session.wait_idle(120)
+    uses(session, "Open", "Load")
     assert len(session.state.dataset.submaps) == 3
     assert [submap.id for submap in session.state.dataset.submaps] == ["000", "001", "002"]
     default = PipelineParams().closure.min_inliers  # the other dataset prefers none
@@ -193,8 +184,7 @@ def test_one_submap_is_no_pair(session: Session, gui: viser.ViserServer, tmp_pat
     hills = make_dataset(num_points=300)
     write_dataset(replace(hills, submaps=hills.submaps[:1]), tmp_path / "one")
     user_sets(find(gui, "Folder"), str(tmp_path / "one"))
-    user_sets(find(gui, "Open"), "Load")
-    assert session.wait_idle(20)
+    uses(session, "Open", "Load")
     assert NEEDS_TWO in said(gui, "verdict")
     assert "Up to date" in said(gui, "status")
     assert len(node(gui, "/pair/query/surface").points) > 0
@@ -207,8 +197,7 @@ def test_one_submap_is_no_pair(session: Session, gui: viser.ViserServer, tmp_pat
         assert "Up to date" in said(gui, "status")
         assert not node(gui, "/pair/database").visible
     desk.choose("000", "000")
-    desk.change(probe=Probe("query", 0.2, 0.1))
-    assert session.wait_idle(20)
+    changes(session, probe=Probe("query", 0.2, 0.1))
     assert "submap 000" in said(gui, "reading")
     user_presses(find(gui, "Run all pairs"))
     user_sets(find(gui, "Move the query"), True)
@@ -223,15 +212,13 @@ def test_one_submap_is_no_pair(session: Session, gui: viser.ViserServer, tmp_pat
     desk.change(options=ViewOptions())
     write_dataset(replace(hills, submaps=hills.submaps[:2]), tmp_path / "two")
     user_sets(find(gui, "Folder"), str(tmp_path / "two"))
-    user_sets(find(gui, "Open"), "Load")
-    assert session.wait_idle(20)
+    uses(session, "Open", "Load")
     assert node(gui, "/pair/database").visible
     assert NEEDS_TWO not in said(gui, "verdict")
 
 
 def test_hiding_the_surfaces_hides_the_legend(session: Session, gui: viser.ViserServer) -> None:
-    user_sets(find(gui, "Surfaces"), False)
-    assert session.wait_idle(120)
+    uses(session, "Surfaces", False)
     assert "Elevation" not in said(gui, "legend")
 
 
@@ -240,8 +227,7 @@ def test_a_fit_moves_the_sliders_and_the_picture(
 ) -> None:
     fitted: dict[str, Any] = {"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4}
     params = session.state.params
-    session.desk.change(params=replace(params, map=replace(params.map, **fitted)))
-    assert session.wait_idle(120)
+    changes(session, params=replace(params, map=replace(params.map, **fitted)))
     assert find(gui, "Length-scale").value == 0.62
     assert find(gui, "Noise [m]").value == 0.02
     assert not find(gui, "Auto relief").value

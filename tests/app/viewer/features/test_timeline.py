@@ -19,7 +19,7 @@ from gpgrad_core.detection import MapDetector, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.slam import Drive, build_pose_graph, optimise_pose_graph
 from tests.support.server import started_server
-from tests.support.synthetic import FakePipeline, make_dataset, needing
+from tests.support.synthetic import make_dataset, needing
 from tests.support.waiting import PATIENCE, until
 from tests.support.widgets import html_says, said
 
@@ -110,7 +110,6 @@ def test_at_rest_no_submap_is_just_coming(session: Session) -> None:
 @pytest.mark.slow
 def test_other_thresholds_are_judged_anew_where_it_stands(
     open_session: Callable[..., Session],
-    pipeline: FakePipeline,  # noqa: ARG001
 ) -> None:
     session = open_session(make_dataset(), NUMBERS)
     timeline, desk = session.timeline, session.desk
@@ -132,7 +131,6 @@ def test_other_thresholds_are_judged_anew_where_it_stands(
 
 def test_without_odometry_it_says_why_there_is_no_drive(
     open_session: Callable[..., Session],
-    pipeline: FakePipeline,  # noqa: ARG001
 ) -> None:
     bare = replace(
         DATASET,
@@ -145,9 +143,7 @@ def test_without_odometry_it_says_why_there_is_no_drive(
 
 
 @pytest.fixture
-def live(
-    pipeline: FakePipeline,  # noqa: ARG001
-) -> Iterator[tuple[viser.ViserServer, Session, Drive]]:
+def live() -> Iterator[tuple[viser.ViserServer, Session, Drive]]:
     """A session that was opened on a drive of which two submaps have come."""
     with started_server() as server:
         drive = Drive(NUMBERS, detector=MapDetector(NUMBERS, MEMO), name="live")

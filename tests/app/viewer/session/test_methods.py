@@ -29,6 +29,7 @@ from gpgrad_core.methods.paper import PaperPair, paper_params, register_paper_pa
 from gpgrad_core.params import with_path
 from gpgrad_core.run import silent
 from gpgrad_core.run.memo import Memo
+from tests.support.desk import uses
 from tests.support.synthetic import make_dataset
 from tests.support.widgets import find, said, user_presses, user_sets
 
@@ -117,8 +118,7 @@ def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserS
     assert session.wait_idle(120)
     by_gradient = session.state
     assert find(server, "Minimum score").visible
-    user_sets(find(server, "Method"), "paper")
-    assert session.wait_idle(120)
+    uses(session, "Method", "paper")
     state = session.state
     assert state.method == "paper"
     assert state.resolved
@@ -141,15 +141,12 @@ def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserS
 
 
 def test_all_pairs_are_kept_for_each_method(session: Session, server: viser.ViserServer) -> None:
-    user_sets(find(server, "Method"), "paper")
-    assert session.wait_idle(120)
-    user_presses(find(server, "Run all pairs"))
-    assert session.wait_idle(240)
+    uses(session, "Method", "paper")
+    uses(session, "Run all pairs")
     assert "method paper" in said(server)
     user_sets(find(server, "Method"), "gradient")
     assert "method paper" not in said(server)
-    user_sets(find(server, "Method"), "paper")
-    assert session.wait_idle(120)
+    uses(session, "Method", "paper")
     assert "method paper" in said(server)
 
 

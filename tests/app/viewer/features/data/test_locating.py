@@ -18,7 +18,7 @@ from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
 from tests.core.locating.test_locate import CELL, CORNER, model, submap
-from tests.support.desk import Recorder, make_desk, rests
+from tests.support.desk import Recorder, make_desk, rests, uses
 from tests.support.page import FakePage
 from tests.support.widgets import find, user_presses, user_sets
 
@@ -65,8 +65,7 @@ def test_submaps_are_found_listed_and_opened_on_the_model(
 ) -> None:
     tool = make(root=tmp_path)
     user_sets(find(server, "Model"), str(write_model(tmp_path / "dem.tif")))
-    user_presses(find(server, "Locate"))
-    assert rests(tool)
+    uses(tool, "Locate")
     assert "2 of 2 found on dem.tif, to 0.0" in tool.result.content
     east = CORNER[0] + SE2(12.0, 20.0, 0.4).apply(SUBMAPS[0].centre[None, :2])[0, 0]
     assert re.search(rf"\b{east:.0f}\.\d", tool.result.content)  # where it lies, not its frame
@@ -88,16 +87,13 @@ def test_what_is_no_model_is_told(make: Make, server: viser.ViserServer, tmp_pat
     user_presses(find(server, "Locate"))
     assert "Type the path of a GeoTIFF first" in tool.bar.said
     user_sets(find(server, "Model"), str(tmp_path / "dem.tif"))
-    user_presses(find(server, "Locate"))
-    assert rests(tool)
+    uses(tool, "Locate")
     assert "may open nothing else" in tool.bar.said
     file: Any = viser.UploadedFile("../dem.tif", b"II*\0")
-    user_sets(find(server, "Upload a GeoTIFF"), file)
-    assert rests(tool)
+    uses(tool, "Upload a GeoTIFF", file)
     assert "outside of its folder" in tool.bar.said
     file = viser.UploadedFile("dem.tif", b"II*\0")
-    user_sets(find(server, "Upload a GeoTIFF"), file)
-    assert rests(tool)
+    uses(tool, "Upload a GeoTIFF", file)
     assert ">dem.tif: " in tool.bar.said
     assert str(tmp_path) not in tool.bar.said
 

@@ -16,10 +16,10 @@ from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import write_dataset
-from tests.support.desk import Recorder, make_desk, rests
+from tests.support.desk import Recorder, make_desk, rests, uses
 from tests.support.drive import make_drive, write_drive
 from tests.support.synthetic import make_dataset
-from tests.support.widgets import find, user_presses, user_sets
+from tests.support.widgets import find, user_sets
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +61,9 @@ def said(opening: DataTab) -> str:
     return opening.work_bar.said
 
 
-def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
+def upload(opening: DataTab, name: str, content: bytes) -> None:
     file: Any = viser.UploadedFile(name, content)
-    user_sets(find(server, "Upload clouds"), file)
-    assert rests(opening)
+    uses(opening, "Upload clouds", file)
 
 
 def zipped(folder: Path) -> bytes:
@@ -85,12 +84,10 @@ def test_a_path_is_opened_and_remembered(
 ) -> None:
     opening = make()
     user_sets(find(server, "Folder"), str(data / "hills"))
-    user_sets(find(server, "Open"), "Load")
-    assert rests(opening)
+    uses(opening, "Open", "Load")
     assert (opened[0].dataset.name, opened[0].source) == ("hills", str(data / "hills"))
     assert recent_datasets(tmp_path / "config") == (str(data / "hills"),)
-    user_sets(find(server, "Recent"), str(data / "hills"))
-    assert rests(opening)
+    uses(opening, "Recent", str(data / "hills"))
     assert len(opened) == 2
     user_sets(find(server, "Folder"), "  ")
     user_sets(find(server, "Open"), "Load")
@@ -104,17 +101,14 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
     assert "hills" in opening.place.content
     user_sets(find(server, "Browse"), "submaps/")
     assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
-    user_sets(find(server, "Browse"), SUBMAPS[1])
-    assert rests(opening)
+    uses(opening, "Browse", SUBMAPS[1])
     assert [submap.id for submap in opened[-1].dataset.submaps] == ["001"]
     user_sets(find(server, "Browse"), "↑ up")
-    user_presses(find(server, "Use this folder"))
-    assert rests(opening)
+    uses(opening, "Use this folder")
     assert opened[-1].dataset.name == "hills"
     for path in (str(data / "others"), "../others", "/etc", "/nowhere"):
         user_sets(find(server, "Folder"), path)
-        user_sets(find(server, "Open"), "Load")
-        assert rests(opening)
+        uses(opening, "Open", "Load")
         assert "may open nothing else" in said(opening)
     opening.restore(SavedSession(dataset=data / "others"))
     assert rests(opening)
@@ -127,46 +121,45 @@ SUBMAPS = ("000.ply", "001.ply", "002.ply", "003.ply")
 
 @pytest.mark.slow
 def test_a_zipped_dataset_is_uploaded(
-    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+    make: Make, data: Path, tmp_path: Path, opened: list[Opened]
 ) -> None:
     opening = make()
-    upload(server, opening, "my hills.zip", zipped(data / "hills"))
+    upload(opening, "my hills.zip", zipped(data / "hills"))
     assert opened[0].dataset.name == "hills"
     assert len(opened[0].dataset.submaps) == 4
     assert Path(opened[0].source).is_relative_to(tmp_path / "uploads")
     assert recent_datasets(tmp_path / "config") == ()  # it will be gone
-    user_sets(find(server, "Open"), "Load demo")
-    assert rests(opening)
+    uses(opening, "Open", "Load demo")
     assert not Path(opened[0].source).exists()  # it is no longer open
-    upload(server, opening, "broken.zip", b"PK\x03\x04")
+    upload(opening, "broken.zip", b"PK\x03\x04")
     assert "broken.zip: is not a complete zip archive" in said(opening)
     assert_no_place_is_told(said(opening), tmp_path)
     broken = io.BytesIO()
     with zipfile.ZipFile(broken, "w") as archive:
         archive.writestr("hills/submaps/000.ply", b"ply\nbroken")
         archive.writestr("hills/dataset.toml", b"")
-    upload(server, opening, "two hills.zip", broken.getvalue())
+    upload(opening, "two hills.zip", broken.getvalue())
     assert "two hills.zip: submaps/000.ply: " in said(opening)
     assert_no_place_is_told(said(opening), tmp_path)
 
 
 def test_clouds_gather_in_one_dataset(
-    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+    make: Make, data: Path, tmp_path: Path, opened: list[Opened]
 ) -> None:
     opening = make()
     clouds = data / "hills" / "submaps"
-    upload(server, opening, "000.ply", (clouds / "000.ply").read_bytes())
-    upload(server, opening, "001.ply", b"ply\nbroken")
+    upload(opening, "000.ply", (clouds / "000.ply").read_bytes())
+    upload(opening, "001.ply", b"ply\nbroken")
     assert ">001.ply: " in said(opening)
     assert_no_place_is_told(said(opening), tmp_path)
-    upload(server, opening, "C:\\some\\where\\001.ply", (clouds / "001.ply").read_bytes())
+    upload(opening, "C:\\some\\where\\001.ply", (clouds / "001.ply").read_bytes())
     assert [[submap.id for submap in dataset.dataset.submaps] for dataset in opened] == [
         ["000"],
         ["000", "001"],
     ]
-    upload(server, opening, "001.ply", (clouds / "001.ply").read_bytes())
+    upload(opening, "001.ply", (clouds / "001.ply").read_bytes())
     assert "was uploaded before" in said(opening)
-    upload(server, opening, "evil.exe", b"MZ")
+    upload(opening, "evil.exe", b"MZ")
     assert "neither a zipped dataset" in said(opening)
     assert len(opened) == 2
 
@@ -181,22 +174,20 @@ def test_clouds_gather_in_one_dataset(
     ],
 )
 def test_names_that_no_file_can_have_are_refused(
-    name: str, rule: str, make: Make, server: viser.ViserServer, tmp_path: Path
+    name: str, rule: str, make: Make, tmp_path: Path
 ) -> None:
     opening = make()
-    upload(server, opening, name, b"ply\n")
+    upload(opening, name, b"ply\n")
     assert rule in said(opening)
     assert "\n" not in said(opening)
     assert not [file for file in tmp_path.rglob("*.ply") if "uploads" in file.parts]
 
 
-def test_the_clouds_together_have_a_bound(
-    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
-) -> None:
+def test_the_clouds_together_have_a_bound(make: Make, data: Path, opened: list[Opened]) -> None:
     cloud = (data / "hills" / "submaps" / "000.ply").read_bytes()
     opening = make(max_upload=len(cloud) // 4 + 1)  # eight times as much may lie there
     for number in range(3):
-        upload(server, opening, f"{number:03}.ply", cloud)
+        upload(opening, f"{number:03}.ply", cloud)
     assert len(opened) == 2
     assert "together" in said(opening)
 
@@ -251,19 +242,16 @@ def test_a_recording_is_built_where_pages_may_write(
     assert find(server, "New folder").value == str(root / "drive-submaps")
     for elsewhere in (tmp_path / "elsewhere", root / "none" / "new", root / ".." / "new"):
         user_sets(find(server, "New folder"), str(elsewhere))
-        user_presses(find(server, "Build submaps"))
-        assert rests(tab)
+        uses(tab, "Build submaps")
         assert "may open nothing else" in building_said(tab)
         assert not elsewhere.exists()
     (root / "link").symlink_to(tmp_path / "config", target_is_directory=True)
     user_sets(find(server, "New folder"), str(root / "link"))
-    user_presses(find(server, "Build submaps"))
-    assert rests(tab)
+    uses(tab, "Build submaps")
     assert "may open nothing else" in building_said(tab)
     user_sets(find(server, "New folder"), str(root / "made"))
     user_sets(find(server, "Length"), 1.5)
-    user_presses(find(server, "Build submaps"))
-    assert rests(tab)
+    uses(tab, "Build submaps")
     assert rests(tab)
     assert "4 submaps of 12 scans" in building_said(tab)
     assert opened[-1].source == str(root / "made")
@@ -284,15 +272,13 @@ def test_nothing_is_built_before_it_is_offered_or_outside_of_the_root(
     monkeypatch.chdir(outside)
     tab = make(root=root, writes=True)
     user_sets(find(server, "New folder"), "made")
-    user_presses(find(server, "Build submaps"))
-    assert rests(tab)
+    uses(tab, "Build submaps")
     assert not (root / "made").exists()
     tab.open(str(root / "drive"))
     assert rests(tab)
     (root / "drive").rename(root / "away")
     (root / "drive").symlink_to(outside, target_is_directory=True)  # after it was offered
-    user_presses(find(server, "Build submaps"))
-    assert rests(tab)
+    uses(tab, "Build submaps")
     assert "may open nothing else" in building_said(tab)
     assert {entry.name for entry in root.iterdir()} == {"away", "drive"}
 
@@ -316,25 +302,22 @@ def test_a_path_that_no_system_takes_is_refused_in_a_line(
     tab.open(str(tmp_path / "drive"))
     assert rests(tab)
     user_sets(find(server, "New folder"), path)
-    user_presses(find(server, "Build submaps"))
-    assert rests(tab)
+    uses(tab, "Build submaps")
     assert "too long" in building_said(tab) or "no such f" in building_said(tab)
     assert "Unexpected" not in said(tab) + building_said(tab)
     assert not caplog.records
 
 
-def test_a_refused_name_tells_no_place(
-    make: Make, server: viser.ViserServer, tmp_path: Path
-) -> None:
+def test_a_refused_name_tells_no_place(make: Make, tmp_path: Path) -> None:
     tab = make()
     for name in ("a\u202eylp.ply", "b\u00a0c.npy"):
-        upload(server, tab, name, b"no cloud")
+        upload(tab, name, b"no cloud")
         assert_no_place_is_told(said(tab), tmp_path)
         assert f">{name[0]}" in said(tab)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         archive.writestr("submaps/\u202e000.ply", b"ply\nbroken")
-    upload(server, tab, "hills\u202e.zip", content.getvalue())
+    upload(tab, "hills\u202e.zip", content.getvalue())
     assert_no_place_is_told(said(tab), tmp_path)
 
 

@@ -14,6 +14,7 @@ from app.viewer.scene.placement import beside
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset
 from gpgrad_core.se2 import SE2
+from tests.support.desk import changes, uses
 from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_map, make_result
 from tests.support.widgets import find, node, said, user_sets
 
@@ -78,8 +79,7 @@ def test_a_stands_beside_b_until_it_is_left(
     session: Session, gui: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
     alone = session.pair.scene.camera(session.state)
-    user_sets(find(gui, "A | B"), "Keep as A")
-    assert session.wait_idle(120)
+    uses(session, "A | B", "Keep as A")
     assert node(gui, REFERENCE).visible
     assert "Loop closure" in node(gui, f"{REFERENCE}/heading").text
     assert session.pair.scene.camera(session.state) != alone
@@ -87,21 +87,18 @@ def test_a_stands_beside_b_until_it_is_left(
     assert "0 only in A" in legend
     assert "12 in both" in legend
     count = len(pipeline.calls)
-    user_sets(find(gui, "Minimum inliers"), 20)
-    assert session.wait_idle(120)
+    uses(session, "Minimum inliers", 20)
     assert len(pipeline.calls) == count + 1  # of B: A is as it was
     assert "No loop closure" in node(gui, "/pair/heading").text
     assert "Loop closure" in node(gui, f"{REFERENCE}/heading").text
-    session.desk.change(options=replace(session.state.options, layout="registered"))
-    assert session.wait_idle(120)
+    changes(session, options=replace(session.state.options, layout="registered"))
     both = np.asarray(node(gui, f"{REFERENCE}/both").points)
     assert len(both) == 4 * 12  # pins: a line would have no length
     assert (both[:, 1, 2] > both[:, 0, 2]).all()
     session.desk.choose("002", "000")
     assert session.wait_idle(120)
     assert node(gui, REFERENCE).visible
-    user_sets(find(gui, "Mode"), "Demo")
-    assert session.wait_idle(120)
+    uses(session, "Mode", "Demo")
     assert not node(gui, REFERENCE).visible
     user_sets(find(gui, "Mode"), "Tune")
     session.desk.leave_reference()

@@ -16,8 +16,9 @@ from gpgrad_core.detection import PairResult, Pairs
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
+from tests.support.desk import changes, uses
 from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
-from tests.support.widgets import find, said, user_presses
+from tests.support.widgets import said
 
 DATASET = make_dataset(num_points=400)
 ALONE = "Judged alone: All pairs asks the others."
@@ -84,8 +85,7 @@ def stand_ins(pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def card(session: Session, query: str, database: str) -> str:
-    session.desk.change(pair=(query, database))
-    assert session.wait_idle(120)
+    changes(session, pair=(query, database))
     return texts(session)
 
 
@@ -95,8 +95,7 @@ def texts(session: Session) -> str:
 
 
 def run_all_pairs(session: Session) -> None:
-    user_presses(find(session.desk.host, "Run all pairs"))  # type: ignore[arg-type]
-    assert session.wait_idle(120)
+    uses(session, "Run all pairs")
 
 
 def test_until_all_pairs_were_compared_a_pair_is_judged_alone(session: Session) -> None:
@@ -139,16 +138,14 @@ def test_thresholds_are_followed_and_other_parameters_are_judged_alone(session: 
 
     def closure_of(**changes: object) -> str:
         thresholds = replace(NUMBERS.closure, **changes)  # type: ignore[arg-type]
-        session.desk.change(params=replace(NUMBERS, closure=thresholds))
-        assert session.wait_idle(120)
+        changes(session, params=replace(NUMBERS, closure=thresholds))
         return texts(session)
 
     assert "No loop closure" in closure_of(min_score=3.9)
     off = closure_of(others="off")
     assert "Score 2.2" in off
     assert "Judged alone" not in off  # there is nobody to be asked
-    session.desk.change(params=replace(NUMBERS, map=replace(NUMBERS.map, noise_std=0.03)))
-    assert session.wait_idle(120)
+    changes(session, params=replace(NUMBERS, map=replace(NUMBERS.map, noise_std=0.03)))
     assert ALONE in texts(session)
 
 

@@ -21,7 +21,7 @@ from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from tests.support.desk import go_to, rests
+from tests.support.desk import changes, go_to, rests, uses
 from tests.support.synthetic import closures_alone, make_compared, make_dataset
 from tests.support.waiting import until
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
@@ -78,9 +78,8 @@ def tab(
     return desk.join(AllPairsTab(desk, WorldTab(desk, modes), modes, Commands(desk.host)))
 
 
-def run(tab: AllPairsTab, server: viser.ViserServer) -> None:
-    user_presses(find(server, "Run all pairs"))
-    assert rests(tab)
+def run(tab: AllPairsTab) -> None:
+    uses(tab, "Run all pairs")
 
 
 def shown(desk: Desk) -> tuple[str, str]:
@@ -88,7 +87,7 @@ def shown(desk: Desk) -> tuple[str, str]:
 
 
 def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer) -> None:
-    run(tab, server)
+    run(tab)
     assert "1 loop closure in 6 pairs: 1 with the right motion, 0 with a wrong motion, " in said(
         server
     )
@@ -102,7 +101,7 @@ def test_an_export_compares_as_the_panel_says_and_what_is_missing(
     tab: AllPairsTab, comparer: Comparer, server: viser.ViserServer
 ) -> None:
     comparer.at_once = 2
-    run(tab, server)
+    run(tab)
     detection: Any = tab.detection(STATE)
     assert detection.args[0].registered == comparer.run.registered
     assert len(comparer.run.registered) == 2
@@ -113,7 +112,7 @@ def test_an_export_compares_as_the_panel_says_and_what_is_missing(
 
 
 def test_thresholds_are_followed(tab: AllPairsTab, desk: Desk, server: viser.ViserServer) -> None:
-    run(tab, server)
+    run(tab)
     histogram = tab.html["scores"].content
     assert "data-scores" in histogram
     go_to(desk, with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
@@ -121,8 +120,7 @@ def test_thresholds_are_followed(tab: AllPairsTab, desk: Desk, server: viser.Vis
     assert "5 loop closures in 6 pairs" in said(server)
     assert tab.html["scores"].content is histogram  # a drag does not draw it anew
     assert "run again" not in said(server)
-    user_sets(find(server, "True if"), "surface overlap > 0.2")
-    assert rests(tab)
+    uses(tab, "True if", "surface overlap > 0.2")
     assert "10 cm cells" in said(server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     go_to(desk, with_params(STATE, smoother))
@@ -131,16 +129,15 @@ def test_thresholds_are_followed(tab: AllPairsTab, desk: Desk, server: viser.Vis
 
 
 def test_another_pair_tells_nobody(tab: AllPairsTab, desk: Desk, server: viser.ViserServer) -> None:
-    run(tab, server)
+    run(tab)
     verdicts = desk.verdicts
-    desk.change(pair=("002", "001"))
-    assert rests(tab)
+    changes(tab, pair=("002", "001"))
     assert desk.verdicts is verdicts
     assert 'data-row="2" data-column="1"' in said(server)
 
 
-def test_a_click_opens_its_pair(tab: AllPairsTab, desk: Desk, server: viser.ViserServer) -> None:
-    run(tab, server)
+def test_a_click_opens_its_pair(tab: AllPairsTab, desk: Desk) -> None:
+    run(tab)
 
     def click(picture: str, **data: object) -> None:
         html_says(desk.bridge, picture, **data)
@@ -171,7 +168,7 @@ def test_a_click_opens_its_pair(tab: AllPairsTab, desk: Desk, server: viser.Vise
 def test_a_drawn_threshold_is_taken(
     tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
-    run(tab, server)
+    run(tab)
     html_says(desk.bridge, "threshold", score=0.512)
     assert desk.state.params.closure.min_score == 0.5
     assert desk.state.params.map == STATE.params.map
@@ -187,7 +184,7 @@ def test_a_drawn_threshold_is_taken(
 def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     tab: AllPairsTab, desk: Desk, server: viser.ViserServer, comparer: Comparer
 ) -> None:
-    run(tab, server)
+    run(tab)
     comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
     other: ViewState = open_dataset(make_dataset(), PipelineParams())
@@ -200,11 +197,11 @@ def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
 def test_why_a_pair_was_looked_at_is_shown(
     tab: AllPairsTab, desk: Desk, server: viser.ViserServer, comparer: Comparer
 ) -> None:
-    run(tab, server)
+    run(tab)
     assert comparer.candidates == "automatic"
     assert tab.html["reasons"].content == ""  # all were compared
     user_sets(find(server, "Compare with"), "the 10 best")
-    run(tab, server)
+    run(tab)
     assert comparer.candidates == 10
     shown = tab.html["reasons"].content
     assert "Why was this pair looked at?" in shown
@@ -234,8 +231,7 @@ def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resum
     assert frozen in said(server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     go_to(desk, with_params(STATE, smoother))
-    user_presses(find(server, "Cancel"))
-    assert rests(tab)
+    uses(tab, "Cancel")
     assert frozen in said(server)  # what moved since is not part of the run
     assert "in 4 pairs: " in said(server)
     assert "starts anew (4 of 6 pairs" in said(server)
@@ -258,19 +254,16 @@ def test_with_other_parameters_a_run_starts_anew(
     comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
     until(lambda: hasattr(comparer, "run"), "the run")
-    user_presses(find(server, "Cancel"))
-    assert rests(tab)
+    uses(tab, "Cancel")
     user_sets(find(server, "Compare with"), "the 10 best")
     before, comparer.at_once = comparer.run, 0
     comparer.go.set()
-    run(tab, server)
+    run(tab)
     assert comparer.run is not before
     assert comparer.num_known == 0
 
 
-def test_the_matrix_beside_a_picture(
-    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
-) -> None:
+def test_the_matrix_beside_a_picture(tab: AllPairsTab, desk: Desk) -> None:
     board = tab.html["board"]
     html_says(desk.bridge, "board")  # without pairs, these are compared
     assert rests(tab)
@@ -283,6 +276,5 @@ def test_the_matrix_beside_a_picture(
     assert 'data-by-hand="1"' in board.content
     html_says(desk.bridge, "matrix", name="board", row=2, column=0)
     assert shown(desk) == ("002", "000")
-    user_presses(find(server, "Matrix beside the picture"))
-    assert rests(tab)
+    uses(tab, "Matrix beside the picture")
     assert "affinity" not in board.content

@@ -28,7 +28,7 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.desk import go_to, judge, rests
+from tests.support.desk import go_to, judge, rests, uses
 from tests.support.synthetic import closures_alone, make_compared
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
@@ -93,7 +93,6 @@ def tab(desk: Desk) -> TriageTab:
     made = desk.join(TriageTab(desk, Commands(desk.host), folder))
     assert not folder.visible  # until there is a pair to decide
     judge(desk, judged(3.0), OUTCOMES)
-    assert rests(made)
     assert folder.visible
     return made
 
@@ -163,8 +162,7 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
 
 
 def test_the_list_is_narrowed(tab: TriageTab, desk: Desk, server: viser.ViserServer) -> None:
-    user_sets(find(server, "List of"), "wrong")
-    assert rests(tab)
+    uses(tab, "List of", "wrong")
     assert tab.list.content.count('data-testid="triage-row"') == 1
     assert send(OPEN_PAIR, query="002", database="001") in tab.list.content
     desk.choose("002", "001")

@@ -15,7 +15,7 @@ from gpgrad_core.mapping.fitting import FitResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run import Progress
 from gpgrad_core.types import Submap
-from tests.support.desk import make_desk
+from tests.support.desk import make_desk, uses
 from tests.support.synthetic import make_dataset
 from tests.support.widgets import find, said, user_presses
 
@@ -52,8 +52,7 @@ def fitter(monkeypatch: pytest.MonkeyPatch) -> Fitter:
 
 def run(desk: Desk) -> str:
     """Fit to the submaps that are shown, and give what is told."""
-    user_presses(find(desk.host, "Fit to these submaps"))
-    assert desk.wait_idle(120)
+    uses(desk, "Fit to these submaps")
     return said(desk.host, "fit") + said(desk.host, "fit-message") + said(desk.host, "fit-error")
 
 
