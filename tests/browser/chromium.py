@@ -339,12 +339,6 @@ class ViewerPage:
         self.page.get_by_role("button", name=name, exact=True).click()
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
 
-    def type_text(self, label: str, text: str) -> None:
-        """Type into a text box, and replace its text."""
-        name = self.page.locator("label:visible").filter(has_text=label).first
-        name.locator("xpath=ancestor::*[.//input][1]//input").first.fill(text)
-        self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
-
     def tab(self, name: str) -> None:
         """Bring a tab of a panel to the front."""
         self.page.get_by_role("tab", name=name, exact=True).click()

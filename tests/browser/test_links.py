@@ -74,6 +74,14 @@ def is_there(page: Any) -> None:
     shows(page, "#query=")
 
 
+def come(person: Any, viewer: Viewer) -> Any:
+    """Open a page on the viewer."""
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    return page
+
+
 def shows(page: Any, part: str) -> None:
     """Wait until the address of a page has a part."""
     page.wait_for_function("part => location.href.includes(part)", arg=part, polling=100)
@@ -129,9 +137,7 @@ def press(page: Any, key: str, part: str) -> str:
 
 
 def test_a_page_is_reloaded_and_outlives_a_wrong_link(person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
+    page = come(person, viewer)
     link = press(page, "1", "view.layer=elevation")
     assert link.startswith(f"{viewer.link}/#" if "?" not in viewer.link else f"{viewer.link}#")
     page.reload()
@@ -157,9 +163,7 @@ def test_a_link_is_opened_by_a_slow_browser(person: Any, viewer: Viewer) -> None
 
 @guarded
 def test_a_link_is_opened_in_another_browser(browser: Any, person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
+    page = come(person, viewer)
     press(page, "j", "query=008")  # the next query
     turn_the_wheel(page)
     copied = page.evaluate("gpgradLink.link()")
@@ -187,9 +191,7 @@ def test_a_link_is_opened_in_another_browser(browser: Any, person: Any, viewer: 
 @guarded
 def test_a_link_in_a_report_is_clicked(person: Any, viewer: Viewer, tmp_path: Path) -> None:
     """As that of a report, which lies on the disk."""
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
+    page = come(person, viewer)
     link = page.evaluate("gpgradLink.link()")
     report = tmp_path / "report.html"
     report.write_text(f'<a href="{link.replace("&", "&amp;")}">the pair</a>')
@@ -225,12 +227,8 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
 
 
 def test_back_and_forward_go_through_pairs_and_modes(person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
-    watcher = person.new_page()  # nobody acts here: it follows, and has one entry
-    watcher.goto(viewer.link)
-    is_there(watcher)
+    page = come(person, viewer)
+    watcher = come(person, viewer)  # nobody acts here: it follows, and has one entry
     entries = watcher.evaluate("history.length")
     parts = [f"query={name}&" for name in ("007", "008", "009", "000", "002", "003")]
     for part in parts[1:]:
@@ -256,9 +254,7 @@ def test_back_and_forward_go_through_pairs_and_modes(person: Any, viewer: Viewer
 
 
 def test_the_matrix_beside_the_map_lights_up_pairs(person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
+    page = come(person, viewer)
     page.keyboard.press("Shift+P")
     matrix = page.locator("body > [data-board] svg[data-asks]")
     page.get_by_text("loop closures in 45 pairs").wait_for()
@@ -276,9 +272,7 @@ def test_the_matrix_beside_the_map_lights_up_pairs(person: Any, viewer: Viewer) 
 
 
 def test_an_arc_lights_up_its_pair_and_leads_to_it_and_back(person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
+    page = come(person, viewer)
     page.keyboard.press("Shift+P")
     page.get_by_text("loop closures in 45 pairs").wait_for()
     page.get_by_role("button", name="Explore", exact=True).click()
@@ -312,9 +306,7 @@ def test_an_arc_lights_up_its_pair_and_leads_to_it_and_back(person: Any, viewer:
 
 @guarded
 def test_a_page_outlives_its_server(person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
+    page = come(person, viewer)
     press(page, "j", "query=008")
     desk = viewer.sessions[0].desk
     asked = replace(QUICK, closure=replace(QUICK.closure, min_score=4.5))
@@ -348,10 +340,7 @@ def test_old_links_still_open(person: Any, viewer: Viewer) -> None:
 
 @guarded
 def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewer) -> None:
-    first, second = person.new_page(), person.new_page()
-    for page in (first, second):
-        page.goto(viewer.link)
-        is_there(page)
+    first, second = come(person, viewer), come(person, viewer)
     press(first, "j", "query=008")
     shows(second, "query=008")
     second.get_by_role("button", name="Work alone").click()

@@ -125,7 +125,11 @@ def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserS
     assert "Inliers n" in said(server, "card")
     assert not find(server, "Minimum score").visible
     assert not find(server, "Fit to these submaps").visible
-    assert find(server, "no limit on h").visible
+    uses(session, "no limit on h", False)
+    uses(session, "Maximum h", 1.0)
+    assert "at most 1" in said(server, "figures")
+    user_presses(find(server, "Undo"))
+    user_presses(find(server, "Undo"))
     assert find(server, "Length-scale per submap").value
     assert find(server, "Length-scale [m]").value == pytest.approx(state.params.map.length_scale)
     user_sets(find(server, "Minimum inliers"), 12)

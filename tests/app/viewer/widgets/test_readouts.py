@@ -21,7 +21,7 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Agreement, Dataset, Submap
+from gpgrad_core.types import Agreement, Dataset, Registration, Submap
 from tests.support.synthetic import make_dataset, make_result, needing
 
 STATE = open_dataset(make_dataset(), PipelineParams())
@@ -37,6 +37,12 @@ def html_of(panel: object) -> str:
 
 def card_and_figures(state: ViewState, result: PairResult) -> str:
     return verdict_html(state, result) + figures_html(state, result)
+
+
+def judged(registration: Registration, limits: ClosureParams | None = None) -> PairResult:
+    """Make a result of a registration, as the limits judge it."""
+    closure = classify(registration, limits or STATE.params.closure)
+    return replace(make_result(STATE), registration=registration, closure=closure)
 
 
 def text_of(html: str) -> str:
@@ -151,10 +157,8 @@ def test_no_figure_is_a_negative_zero() -> None:
 )
 def test_the_bar_shows_the_threshold(score: float, lowest: float, words: str, fill: str) -> None:
     state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=lowest)))
-    result = make_result(state)
-    registration = replace(result.registration, score=score)
-    closure = classify(registration, state.params.closure)
-    html = verdict_html(state, replace(result, registration=registration, closure=closure))
+    registration = replace(make_result(state).registration, score=score)
+    html = verdict_html(state, judged(registration, state.params.closure))
     assert f'aria-label="{words}"' in html
     assert f">{words}<" in html
     assert f'<i class="{fill}">' in html
@@ -164,28 +168,20 @@ def test_the_bar_shows_the_threshold(score: float, lowest: float, words: str, fi
 def test_a_rule_that_compares_other_numbers_is_named() -> None:
     limits = ClosureParams(max_mean_dissimilarity=0.02)
     state = with_params(STATE, PipelineParams(closure=limits))
-    result = with_evidence(7.7)
-    registration = replace(result.registration, mean_dissimilarity=0.5)
-    closure = classify(registration, limits)
-    html = verdict_html(state, replace(result, registration=registration, closure=closure))
+    registration = replace(with_evidence(7.7).registration, mean_dissimilarity=0.5)
+    html = verdict_html(state, judged(registration, limits))
     assert "Dissimilarity of a cell 0.5 &gt; 0.02. The gradients of the two maps differ" in html
 
 
 def test_where_all_is_masked_nothing_is_judged() -> None:
-    result = make_result(STATE)
-    hidden = replace(result.registration, T_database_query=None, nothing_trusted=True, score=0.0)
-    result = replace(
-        result,
-        registration=hidden,
-        closure=replace(result.closure, registration=hidden, accepted=False),
-    )
-    html = verdict_html(STATE, result)
+    hidden = {"T_database_query": None, "nothing_trusted": True, "score": 0.0}
+    html = verdict_html(STATE, judged(replace(make_result(STATE).registration, **hidden)))  # type: ignore[arg-type]
     assert ">Cannot judge<" in html
     assert "Score" not in html
     assert "oop closure<" not in html
 
 
-def test_a_pair_that_a_hand_has_moved_is_not_judged(server: viser.ViserServer) -> None:
+def test_a_card_follows_a_hand_and_the_next_result(server: viser.ViserServer) -> None:
     card = VerdictCard(server)
     card.show(STATE, make_result(STATE))
     card.set_moved(True)
@@ -193,6 +189,14 @@ def test_a_pair_that_a_hand_has_moved_is_not_judged(server: viser.ViserServer) -
     assert ">Loop closure<" not in html_of(card)
     card.set_moved(False)
     assert ">Loop closure<" in html_of(card)
+    card.outdate("out of date")
+    assert "out of date" in html_of(card)
+    assert ">Loop closure<" in html_of(card)
+    nowhere = replace(make_result(STATE).registration, T_database_query=None)
+    card.show(STATE, judged(nowhere))
+    assert "out of date" not in html_of(card)
+    assert "none found" in html_of(card)
+    assert "yaw" not in html_of(card)
 
 
 @pytest.mark.parametrize(
@@ -221,8 +225,7 @@ def test_a_pair_that_a_hand_has_moved_is_not_judged(server: viser.ViserServer) -
 def test_a_low_score_is_explained(changes: dict[str, object], headline: str, words: str) -> None:
     result = with_evidence(2.0, -1.0, -1.0)
     registration = replace(result.registration, score=1.0, **changes)  # type: ignore[arg-type]
-    closure = classify(registration, STATE.params.closure)
-    html = verdict_html(STATE, replace(result, registration=registration, closure=closure))
+    html = verdict_html(STATE, judged(registration))
     assert f">{headline}<" in html
     assert words in html
     assert (AMBER_GROUND in html) == (headline == "Undecided")
@@ -235,20 +238,6 @@ def test_the_card_tells_a_refused_pair_and_why() -> None:
     assert "12 keypoints agree; at least 20 are needed." in html
     assert "Too few keypoints agree." in html
     assert "12 inliers &lt; 20" in html  # the reason as closures.json has it, in the tooltip
-
-
-def test_the_card_tells_when_no_motion_was_found(server: viser.ViserServer) -> None:
-    result = make_result(STATE)
-    nowhere = replace(result.registration, T_database_query=None)
-    result = replace(
-        result,
-        registration=nowhere,
-        closure=replace(result.closure, registration=nowhere, accepted=False),
-    )
-    card = VerdictCard(server)
-    card.show(STATE, result)
-    assert "none found" in html_of(card)
-    assert "yaw" not in html_of(card)
 
 
 def test_one_submap_alone_is_no_pair(server: viser.ViserServer) -> None:
@@ -283,16 +272,6 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     assert "<img src=x" not in shown
     assert shown.count("</textarea>") == 1
     assert "&lt;img src=x" in shown
-
-
-def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
-    card = VerdictCard(server)
-    card.show(STATE, make_result(STATE))
-    card.outdate("out of date")
-    assert "out of date" in html_of(card)
-    assert ">Loop closure<" in html_of(card)
-    card.show(STATE, make_result(STATE))
-    assert "out of date" not in html_of(card)
 
 
 @pytest.mark.parametrize(

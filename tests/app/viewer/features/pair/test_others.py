@@ -136,8 +136,8 @@ def test_thresholds_are_followed_and_other_parameters_are_judged_alone(session: 
     run_all_pairs(session)
     assert "No loop closure" not in card(session, "003", "000")
 
-    def closure_of(**changes: object) -> str:
-        thresholds = replace(NUMBERS.closure, **changes)  # type: ignore[arg-type]
+    def closure_of(**limits: object) -> str:
+        thresholds = replace(NUMBERS.closure, **limits)  # type: ignore[arg-type]
         changes(session, params=replace(NUMBERS, closure=thresholds))
         return texts(session)
 
