@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.gp.kernel import group
-from gpgrad_core.gp.mean import PriorMean
 
 AXES_POINTS = 4096
 """Largest number of a cloud's points from which its own axes are computed."""
@@ -25,13 +24,12 @@ class Cloud:
 
     @classmethod
     def of(
-        cls, points: Float[Array, "n 3"], noise_std: float | Float[Array, "n"], mean: PriorMean
+        cls, points: Float[Array, "n 3"], noise_std: float | Float[Array, "n"], mean: float
     ) -> "Cloud":
         """Sort points patch by patch, and subtract the mean from their heights."""
-        heights = points[:, 2] - mean.at(points[:, :2])
         order = _patch_by_patch(points[:, :2])
         noise = np.broadcast_to(noise_std, len(points))[order]
-        return cls(points[order, :2], heights[order], noise**2)
+        return cls(points[order, :2], points[order, 2] - mean, noise**2)
 
     def __len__(self) -> int:
         return len(self.xy)

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticeSolver
-from gpgrad_core.gp.mean import PriorMean
 from gpgrad_core.gp.solution import EXACT, Accuracy, Cost, GPProblem, Posterior, Solver
 from gpgrad_core.gp.tiles import TileSolver
 from gpgrad_core.run import Progress, silent
@@ -27,16 +26,16 @@ def fit_gp(
     kernel: SquaredExponential,
     noise_std: float | Float[Array, "n"],
     *,
-    mean: PriorMean | None = None,
+    mean: float | None = None,
     solver: SolverName | Literal["auto"] = "auto",
     accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> Posterior:
     """Fit the GP of Eq. (1) to points [m], exactly but for the given accuracy.
 
-    The mean is subtracted before and added after; None takes the mean of the points' heights. The
-    time of ``lattice`` grows with the area in length-scales, that of ``tiles`` with the number of
-    points in a length-scale; ``auto`` takes the one that is estimated to be faster.
+    The mean height [m] is subtracted before and added after; None takes the points' mean. The time
+    of ``lattice`` grows with the area in length-scales, that of ``tiles`` with the number of points
+    in a length-scale; ``auto`` takes the one that is estimated to be faster.
     """
     problem = GPProblem.of(points, kernel, noise_std, mean, accuracy)
     if solver == "auto":

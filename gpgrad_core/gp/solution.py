@@ -12,7 +12,6 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import told_apart
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential, check_solvable, information
-from gpgrad_core.gp.mean import ConstantMean, PriorMean
 from gpgrad_core.run import Progress
 from gpgrad_core.types import Grid
 
@@ -107,9 +106,12 @@ class TerrainFields(NamedTuple):
     slope: Float[Array, "rows columns 2"]  # slope along x and along y (rows, columns, 2) [m/m]
 
     @classmethod
-    def prior(cls, grid: Grid, kernel: SquaredExponential, mean: PriorMean) -> "TerrainFields":
-        elevation, slope = mean.on(grid)
-        return cls(elevation, np.full(grid.shape, kernel.signal_std**2), slope)
+    def prior(cls, grid: Grid, kernel: SquaredExponential, mean: float) -> "TerrainFields":
+        return cls(
+            np.full(grid.shape, mean),
+            np.full(grid.shape, kernel.signal_std**2),
+            np.zeros((*grid.shape, 2)),
+        )
 
 
 def clip_variance(variance: Float[Array, "*shape"], prior: float) -> Float[Array, "*shape"]:
@@ -123,7 +125,7 @@ class GPProblem:
 
     cloud: Cloud  # the points, with their noise and their heights relative to the mean
     kernel: SquaredExponential  # covariance of the terrain
-    mean: PriorMean  # was subtracted from the heights
+    mean: float  # height that was subtracted [m]
     information: float  # see `kernel.information`
     accuracy: Accuracy  # how exact the solution has to be
 
@@ -133,15 +135,15 @@ class GPProblem:
         points: Float[Array, "n 3"],
         kernel: SquaredExponential,
         noise_std: float | Float[Array, "n"],
-        mean: PriorMean | None = None,
+        mean: float | None = None,
         accuracy: Accuracy = EXACT,
     ) -> "GPProblem":
-        mean = mean or ConstantMean(float(points[:, 2].mean()))
-        return cls.over(Cloud.of(points, noise_std, mean), kernel, mean, accuracy)
+        offset = float(points[:, 2].mean()) if mean is None else mean
+        return cls.over(Cloud.of(points, noise_std, offset), kernel, offset, accuracy)
 
     @classmethod
     def over(
-        cls, cloud: Cloud, kernel: SquaredExponential, mean: PriorMean, accuracy: Accuracy
+        cls, cloud: Cloud, kernel: SquaredExponential, mean: float, accuracy: Accuracy
     ) -> "GPProblem":
         """Check that the problem can be solved; raises InputError if it cannot."""
         bits = information(cloud.xy, cloud.noise_variance, kernel)
@@ -154,7 +156,7 @@ class Posterior(ABC):
     """A fitted GP that can be sampled on any grid."""
 
     kernel: SquaredExponential  # covariance of the terrain
-    mean: PriorMean  # was subtracted from the heights before the fit
+    mean: float  # height that was subtracted before the fit [m]
 
     @abstractmethod
     def sample(self, grid: Grid) -> TerrainFields:

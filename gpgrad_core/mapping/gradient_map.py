@@ -12,7 +12,6 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.mean import ConstantMean, LocalMean
 from gpgrad_core.gp.noise import MeasuredNoise, PointNoise, find_outliers, measure_noise
 from gpgrad_core.gp.solution import EXACT, Accuracy, Posterior, TerrainFields
 from gpgrad_core.params import Bounds, check_bounds
@@ -75,15 +74,6 @@ MaxPointsParam: TypeAlias = Annotated[
         "(the paper takes 5000)."
     ),
 ]
-PriorMeanParam: TypeAlias = Annotated[
-    Literal["constant", "local"],
-    Doc(
-        "Height to which the map returns where points are few: constant (the mean of all heights, "
-        "as in the paper) or local (the mean of the heights around)."
-    ),
-]
-MEAN_WIDTH = 1.0
-"""Standard deviation of the Gaussian over which heights are averaged [length-scales]."""
 SIGNAL_STD = Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0))
 
 
@@ -114,7 +104,6 @@ class TerrainParams:
         Doc("Standard deviation of the terrain's height; automatic: that of the submap's points."),
     ] = None
     max_points: MaxPointsParam = None
-    prior_mean: PriorMeanParam = "constant"
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -164,7 +153,6 @@ class MapParams:
         ),
     ] = None
     max_points: MaxPointsParam = None
-    prior_mean: PriorMeanParam = "constant"
     resolution: Annotated[
         float,
         Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.2)),
@@ -337,12 +325,8 @@ def fit_terrain(
     submap = subsample(submap, MOST_POINTS)
     rows = sample_rows(submap, params.max_points)
     points, noise_std = submap.points[rows], params.noise.of_points(submap).std[rows]
+    mean = float(points[:, 2].mean())
     signal_std = signal_std_of(points, params)
-    mean = (
-        LocalMean.of(points, noise_std, MEAN_WIDTH * params.length_scale)
-        if params.prior_mean == "local"
-        else ConstantMean(float(points[:, 2].mean()))
-    )
     if len(points) >= BINNED_FROM:
         points, noise_std = thin_dense(points, noise_std, params.length_scale, signal_std)
     kernel = SquaredExponential(signal_std, params.length_scale)

@@ -72,8 +72,6 @@ OF_MAPS = {
 OF_FITS = {
     "scale": "RESOLVED CELLS_ACROSS FEWEST_ACROSS",
     "mapping.fitting": "LEAST_SHARE",
-    "mapping.gradient_map": "MEAN_WIDTH",
-    "gp.mean": "POINTS_AVERAGED",
     "detection.automatic": "SUBMAP_PATCH_POINTS",
 }
 """Constants by module that act on the fit of parameters."""

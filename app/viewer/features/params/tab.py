@@ -39,7 +39,6 @@ FOLDED = {
     ),
     "map.signal_std": Widget("Relief"),
     "map.max_points": Widget("Largest cloud", automatic="All points"),
-    "map.prior_mean": Widget("Prior mean", {"constant": "one height", "local": "heights around"}),
     "map.resolution": Widget("Cell size"),
     "map.scale": Widget("Finest detail"),
     "features.max_keypoints": Widget("Most keypoints"),
