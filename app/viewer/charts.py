@@ -46,11 +46,11 @@ def round_step(least: float) -> float:
 def round_length(longest: float) -> float:
     """The largest of 1, 2, 5, 10, … and of 0.5, 0.2, 0.1, … that is not larger.
 
-    >>> round_length(4.7), round_length(0.3)
-    (2.0, 0.2)
+    >>> round_length(4.7), round_length(0.3), round_length(0.3 / 3)
+    (2.0, 0.2, 0.1)
     """
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest))
+    power, most = 10.0 ** np.floor(np.log10(longest)), (1 + 1e-9) * longest
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most))
 
 
 def round_marks(low: float, high: float) -> list[float]:

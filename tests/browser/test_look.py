@@ -43,6 +43,20 @@ def test_nothing_of_viser_and_nothing_white_is_ever_seen(open_viewer: Callable[.
         widths.append(page.page.evaluate(WIDTHS))
         assert max(page.page.evaluate(FOOTS)) < 892, mode
     assert len({tuple(pair) for pair in widths}) == 1, widths
+    # A window that was as narrow as a phone has its panels as before.
+    page.resize(390, 844)
+    page.wait(lambda: page.page.locator("[data-dock-region=right]").count() == 0, "a phone's page")
+    page.resize(1440, 900)
+    page.wait(lambda: page.page.evaluate(WIDTHS) == widths[0], "panels as wide as before")
+    # In a low window the map keeps its room beside the matrix.
+    page.press("Explore")
+    page.key("Shift+P")
+    page.page.get_by_test_id("matrix-board").wait_for()
+    page.resize(960, 490)
+    canvas = page.page.get_by_test_id("over-canvas")
+    page.wait(lambda: canvas.bounding_box()["width"] == 300, "room for the map")
+    page.key("Shift+P")
+    page.resize(1440, 900)
     # The notice of a page without a graphics card is one line, which stays away.
     notice = page.page.get_by_test_id("no-graphics-card")
     notice.get_by_role("button").evaluate("button => button.click()")

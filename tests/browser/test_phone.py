@@ -59,6 +59,7 @@ def reach_the_strip(page: Any) -> None:
         assert min(box["width"], box["height"]) >= 24
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
+        assert box["y"] > HEIGHT / 3  # within reach of a thumb
     strip.locator("[data-step='next database']").click()
     page.wait(lambda: page.pair() == ("007", "002"), "the next database")
     page.choose_submap("query", "005")

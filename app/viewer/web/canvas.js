@@ -13,6 +13,9 @@
   const over = make(document.body, 'position:fixed;pointer-events:none;z-index:1;overflow:hidden;' +
     'container-type:inline-size;color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
   over.dataset.testid = 'over-canvas';
+  // Where a page was as narrow as a phone, viser may forget how wide its panel was.
+  let tries = 0;
+  matchMedia('(max-width: 36em)').addEventListener('change', ({matches}) => { tries = matches ? 0 : 20; });
   // What is lit up on the map lies below all that is written.
   const lit = over.appendChild(document.createElementNS('http://www.w3.org/2000/svg', 'svg'));
   lit.dataset.lit = '';
@@ -29,17 +32,17 @@
   const title = make(caption, 'font-weight:600');
   const line = make(caption, '');
   const scale = make(over, 'position:absolute;left:14px;z-index:1;text-align:center;' +
-    'bottom:calc(12px + var(--strip, 0px));' + ground);
+    'bottom:calc(12px + var(--foot, 0px));' + ground);
   scale.dataset.testid = 'scale';
   const words = make(scale, 'font-variant-numeric:tabular-nums');
   const bar = make(scale, 'height:5px;border:1.5px solid currentColor;border-top:0;' +
     'margin:0 auto 3px');
   const legend = make(over, 'position:absolute;left:50%;transform:translateX(-50%);' +
-    'bottom:calc(12px + var(--strip, 0px));' +
+    'bottom:calc(12px + var(--foot, 0px));' +
     'width:max-content;text-align:center;text-wrap:balance;font-size:.923em;visibility:hidden;' + ground);
   legend.dataset.testid = 'canvas-legend';
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-  const frame = make(over, 'position:absolute;right:14px;bottom:calc(12px + var(--strip, 0px));' +
+  const frame = make(over, 'position:absolute;right:14px;bottom:calc(12px + var(--foot, 0px));' +
     'padding:.15em .55em;' + halo);
   frame.dataset.testid = 'axes';
   frame.appendChild(svg);
@@ -206,6 +209,8 @@
   };
   setInterval(() => {
     own.tell();
+    if (tries-- > 0 && document.querySelector(VISER_RIGHT_DOCK)?.offsetWidth < PANEL_WIDTH)
+      gpgrad.say('wide', {}, true);
     const canvas = document.querySelector('canvas');
     if (!canvas) return;
     const box = canvas.getBoundingClientRect();
@@ -217,24 +222,26 @@
     // scale; else it shares that row, which the picture leaves free anyway.
     const narrow = box.width - found.left - found.right < 600;
     const high = box.height - found.top - found.bottom;
+    const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
+    const at_foot = innerWidth <= 640 ? read('--pair') : 0;  // on a phone, see chooser.js
+    const is_low = high < 450 || at_foot > 0;
     for (const part of legend.querySelectorAll('[data-remark],[data-testid=a-b]'))
-      part.style.display = high < 450 ? 'none' : '';
+      part.style.display = is_low ? 'none' : '';
     legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
     // Where the legend is as wide as the row of scale and axes; these are higher.
     const over_axes = legend.offsetLeft + legend.offsetWidth / 2 > frame.offsetLeft - 8;
-    const lift = narrow && high >= 450 ? over_axes ? 56 : 40 : 0;
+    const lift = narrow && !is_low ? over_axes ? 56 : 40 : 0;
     // In a narrow and low canvas only the colour bar stands beside the scale, and words above it.
     const beside = 2 * (scale.offsetLeft + scale.offsetWidth + 8);
     legend.style.setProperty('--bar', narrow && !lift && !document.body.dataset.story ? over.clientWidth - beside + 'px' : '100%');
-    legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
-    const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
+    legend.style.bottom = `calc(${12 + lift}px + var(--foot, 0px))`;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;
-    const covered = told && told + (narrow ? lift : read('--strip') - 60);
+    const covered = at_foot + (told && told + (narrow ? lift : read('--strip') - 60));
     // With fewer words in the legend the picture stays as large as it was.
     const size = JSON.stringify(found);
     own.below = own.size === size ? Math.max(own.below, covered) : covered;
     own.size = size;
-    const {below} = own, head = narrow ? read('--head') : 0;
+    const {below} = own, head = narrow && !at_foot ? read('--pair') : 0;
     const dark = document.documentElement.dataset.mantineColorScheme === 'dark';
     const now = JSON.stringify([found, below, head, dark]);
     if (now === own.last) return;

@@ -1,5 +1,6 @@
-// The pair: a strip at the head of the canvas. Each side names a submap, steps to its neighbours, and
-// opens a list that a search narrows. Python says what stands on it; see features/chooser.py.
+// The pair: a strip at the head of the canvas, or on a phone at its foot, for the thumb. Each side
+// names a submap, steps to its neighbours, and opens a list that a search narrows. Python says what
+// stands on it; see features/chooser.py.
 (function run() {
   const over = window.gpgrad && document.querySelector('[data-testid=over-canvas]');
   if (!over) { setTimeout(run, 50); return; }  // the scripts of the canvas may come later
@@ -18,6 +19,9 @@
     // A mouse has the arrows when it is there; a finger cannot come near without pressing.
     '@media (hover:hover) and (min-width:641px){' +
     '[data-testid=pair-strip]:not(:hover,:focus-within) [data-step]{opacity:0}}' +
+    '[data-testid=over-canvas]{--head:var(--pair,0px);--foot:var(--strip,0px)}' +
+    '@media (max-width:640px){[data-testid=over-canvas]{--head:0px;--foot:calc(var(--strip,0px) + var(--pair,0px))}' +
+    '[data-testid=pair-strip]{top:auto!important;bottom:8px}[data-testid=pair-list]{top:6px!important}}' +
     // Beside panels or the matrix there may be room for the names alone.
     '@container (max-width:380px){' +
     '[data-testid=pair-strip] :is([data-step],[data-portrait]){display:none!important}}';
@@ -188,7 +192,7 @@
     if (!data.shown) close(false);
     Object.assign(pair, data);
     strip.style.display = data.shown ? 'flex' : 'none';
-    over.style.setProperty('--head', data.shown ? strip.offsetHeight + 6 + 'px' : '0px');
+    over.style.setProperty('--pair', data.shown ? strip.offsetHeight + 6 + 'px' : '0px');
     window.gpgradCanvas.named = data.shown;  // so the caption need not
     window.gpgradCanvas.tell();
     for (const role in sides) {

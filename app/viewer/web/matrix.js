@@ -97,9 +97,9 @@ window.gpgradMatrix = window.gpgradMatrix || {
   dock(canvas, free) {
     if (!this.board?.isConnected) return 0;
     const wide = canvas.width - free.left - free.right, high = canvas.height - free.top - free.bottom;
-    const is_phone = wide < 480;  // where both have no room beside each other
+    const is_phone = wide < 540;  // where both have no room beside each other
     const width = is_phone ? wide :
-      Math.round(Math.max(Math.min(0.58 * wide, high - 165), Math.min(340, wide - 90)));
+      Math.round(Math.min(Math.max(Math.min(0.58 * wide, high - 165), 340), wide - 300));
     Object.assign(this.board.style, {left: canvas.left + free.left + 'px', width: width - 16 + 'px',
       top: canvas.top + free.top + 'px', maxHeight: high - 16 + 'px'});
     return is_phone ? 0 : width;

@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from app.viewer.scene.cameras import set_view, view_of
 from app.viewer.scene.layers import Scale
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
-from app.viewer.server.host import Host, PerPage, pages
+from app.viewer.server.host import PANEL_WIDTH, Host, PerPage, pages
 from app.viewer.session.state import Camera
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import Bridge, page_script
@@ -69,8 +69,9 @@ class Canvases:
         self.presents = False  # whether words of a demonstration stand in a band at the foot
         style = fill_page_file("lower_third.css")
         for script in ("canvas.js", "swipe.js", "story.js"):
-            host.gui.add_html(page_script(script, LOWER_THIRD=style))
+            host.gui.add_html(page_script(script, LOWER_THIRD=style, PANEL_WIDTH=PANEL_WIDTH))
         bridge.on_message("canvas", CanvasMsg, self._take)
+        bridge.hear("wide", lambda _page, _data: host.gui.main_panel.set_width(PANEL_WIDTH))
 
     def tell(self, act: OnCanvas) -> None:
         """Call something whenever a page's canvas is there, or becomes another; must be quick."""

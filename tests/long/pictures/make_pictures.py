@@ -169,6 +169,7 @@ def sliders(browser: Browser) -> None:
         for value in (None, *values):
             if value is not None:
                 page.type_value(slider, value)
+            page.page.mouse.move(SIZE[0] / 2, SIZE[1] - 5)  # no tooltip in the way
             page.settle()
             page.page.wait_for_timeout(2000)
             picture = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")

@@ -46,7 +46,9 @@ def test_the_legend_on_the_canvas_has_round_marks_unit_and_an_escaped_note() -> 
     assert canvas_legend(None, "anything") == ""
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1e-9), (-1.2, 1.04), (3.0, 3.0), (-5e3, 2e4)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0, 1e-9), (0.0, 0.3), (-1.2, 1.04), (3.0, 3.0), (-5e3, 2e4)]
+)
 def test_ticks_lie_between_the_ends(low: float, high: float) -> None:
     ticks = round_marks(low, high)
     assert all(low - 1e-6 <= tick <= high + max(1e-6, 1e-6 * abs(high)) for tick in ticks)
