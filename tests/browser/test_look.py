@@ -57,6 +57,7 @@ def test_nothing_of_viser_and_nothing_white_is_ever_seen(open_viewer: Callable[.
     page.wait(lambda: canvas.bounding_box()["width"] == 300, "room for the map")
     page.key("Shift+P")
     page.resize(1440, 900)
+    page.press("Tune")
     # The notice of a page without a graphics card is one line, which stays away.
     notice = page.page.get_by_test_id("no-graphics-card")
     notice.get_by_role("button").evaluate("button => button.click()")
