@@ -6,69 +6,63 @@ are the exception: to take one in may take a while, and happens in a thread.
 """
 
 import asyncio
-from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any, TypeAlias, TypeVar
 
 import viser
 
 Option = TypeVar("Option", bound=str)
+Handler: TypeAlias = Callable[[viser.GuiEvent[Any]], Coroutine[Any, Any, None]]
+
+
+def _by_user(act: Callable[[Any], None]) -> Handler:
+    async def handle(event: viser.GuiEvent[Any]) -> None:
+        if event.client_id is not None:
+            act(event.target.value)
+
+    return handle
+
+
+def _by_page(act: Callable[[viser.ClientHandle, Any], None]) -> Handler:
+    async def handle(event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            act(event.client, event.target.value)
+
+    return handle
 
 
 def on_press(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
     """Call something when a button is pressed."""
-
-    @button.on_click
-    async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-        del event
-        act()
+    button.on_click(_by_user(lambda _: act()))
 
 
 def on_press_by(button: viser.GuiButtonHandle, act: Callable[[viser.ClientHandle], None]) -> None:
     """Call something with the page on which a button is pressed."""
-
-    @button.on_click
-    async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-        if event.client is not None:
-            act(event.client)
+    button.on_click(_by_page(lambda page, _: act(page)))
 
 
 def on_choice(handle: viser.GuiInputHandle[Any], act: Callable[[Any], None]) -> None:
     """Call something with the new value when a user changes an input."""
-
-    @handle.on_update
-    async def _(event: viser.GuiEvent[Any]) -> None:
-        if event.client_id is not None:
-            act(event.target.value)
+    handle.on_update(_by_user(act))
 
 
 def on_choice_by(
     handle: viser.GuiInputHandle[Any], act: Callable[[viser.ClientHandle, Any], None]
 ) -> None:
     """Call something with the page on which a user changes an input, and the new value."""
-
-    @handle.on_update
-    async def _(event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            act(event.client, event.target.value)
+    handle.on_update(_by_page(act))
 
 
 def on_option(buttons: viser.GuiButtonGroupHandle, act: Callable[[str], None]) -> None:
     """Call something with the label of the button of a group that is pressed."""
-
-    @buttons.on_click
-    async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-        act(event.target.value)
+    buttons.on_click(_by_user(act))
 
 
 def on_option_by(
     buttons: viser.GuiButtonGroupHandle, act: Callable[[viser.ClientHandle, str], None]
 ) -> None:
     """Call something with the page on which a button of a group is pressed, and its label."""
-
-    @buttons.on_click
-    async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-        if event.client is not None:
-            act(event.client, event.target.value)
+    buttons.on_click(_by_page(act))
 
 
 def one_of(options: Iterable[Option], label: str) -> Option:
