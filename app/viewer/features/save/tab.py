@@ -508,7 +508,7 @@ def _write_picture(
     progress: Progress,
 ) -> None:
     """Draw what a page sees, in a worker's thread: the pair here, all else by the page."""
-    from app.viewer.features.save.figures import (  # noqa: PLC0415 - loads matplotlib  # noqa: PLC0415
+    from app.viewer.features.save.figures import (  # noqa: PLC0415 - loads matplotlib
         Sheet,
         crop,
         draw_picture,
