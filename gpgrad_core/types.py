@@ -783,6 +783,8 @@ class Context:
             if better ones lead elsewhere. It is a logarithm to base 10, as the scores are.
         places: Number of places at which motions put one of the two submaps; with more than one,
             the ground repeats.
+        variance_factor: How many times larger the variances of the dataset's motions are than
+            their registrations say, as its triangles of closures show.
     """
 
     own_score: NotNegative
@@ -790,6 +792,7 @@ class Context:
     misfit: NotNegative
     support: Finite
     places: Count
+    variance_factor: NotNegative = 1.0
 
 
 RefusalKind: TypeAlias = Literal[

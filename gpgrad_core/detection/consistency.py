@@ -3,12 +3,12 @@
 The guide explains it (method.md, *Three hypotheses*).
 """
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
-from math import exp, gamma, hypot, inf, log, log10, pi
+from math import exp, gamma, hypot, inf, log, log2, log10, pi
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -56,21 +56,35 @@ LEAD, REPEATED, USUAL = 2.0, (0.2, 0.35), 1.3
 """A closure may have this score where a rival place fits as well, if of the closures with heights
 within `USUAL` times what is usual at most the first share of `REPEATED` leads elsewhere. From the
 second share on it needs all of its score as a lead."""
+USUAL_GAP, MOST_GAP = 0.33, 10.0
+"""Mean square of what is left when three motions close a triangle, relative to their covariances,
+where these are right: what is wrong with a submap moves both of its motions alike and does not
+show. And the most that one triangle counts."""
+GAPS_TOLD, FEW_GAPS = 0.6, 5
+"""Variances follow the mean square of a dataset to this power, and with so many triangles to half
+of it."""
+FACTOR_STEPS, MOST_FACTOR = 4, 4.0
+"""Steps of a variance factor from one to twice that: finer ones would change it all the time. And
+the most that it is, or one over the least."""
 
 ORIGIN = SE2()
 """Where the first submap of each tree lies."""
 MOST_AT_ONCE = 100_000
-"""Links of cycles that are computed at once, in some 50 MB."""
+"""Links of cycles, or triangles, that are computed at once, in some 50 MB."""
 
 
 class Contexts(Mapping[Pair, Context]):
     """The context of each pair whose terrain was compared; each is made when it is needed."""
 
-    def __init__(self, rows: Mapping[Pair, tuple[float, float, float, float, int]]) -> None:
-        self._rows = rows
+    def __init__(
+        self,
+        rows: Mapping[Pair, tuple[float, float, float, float, int]],
+        variance_factor: float = 1.0,
+    ) -> None:
+        self._rows, self.variance_factor = rows, variance_factor
 
     def __getitem__(self, pair: Pair) -> Context:
-        return Context(*self._rows[pair])
+        return Context(*self._rows[pair], self.variance_factor)
 
     def __iter__(self) -> Iterator[Pair]:
         return iter(self._rows)
@@ -101,12 +115,15 @@ class Consistency:
       A pair of the forest is weighed by the cycle of the best pair that could replace it. A cycle
       is computed anew only if its way through the forest has changed.
     - A score is worth no more than how rare it is among pairs that lead elsewhere.
+
+    The covariances of a dataset's motions are multiplied by one factor, which its triangles show.
     """
 
     def __init__(self) -> None:
         self._num_processed = 0
         self._compared = _Compared.of({})
         self._odometry = _OdometrySteps()
+        self._triangles = _Triangles()
         self._forest: _Forest | None = None
         self._cycles = _Cycles(np.zeros(0, bool), np.zeros(0), np.zeros(0), 0.0)
 
@@ -120,6 +137,7 @@ class Consistency:
         new = dict(islice(registrations.items(), self._num_processed, None))
         self._num_processed = len(registrations)
         compared = self._compared = self._compared.joined(_Compared.of(new, centres))
+        self._triangles.add(compared)
         self._odometry.add(odometry, centres)
         misfits, against = compared.unusual()
         scores = np.maximum(compared.scores - against, 0.0)
@@ -144,7 +162,9 @@ class Consistency:
         ]
         columns = (compared.scores, weighed, misfits, support_by_cycles)
         rows = zip(*(column.tolist() for column in columns), several, strict=True)
-        return Contexts(dict(zip(map(tuple, compared.pairs.tolist()), rows, strict=True)))
+        pairs = map(tuple, compared.pairs.tolist())
+        factor = self._triangles.variance_factor(weighed)
+        return Contexts(dict(zip(pairs, rows, strict=True)), factor)
 
 
 def _most_shown(
@@ -178,10 +198,25 @@ def _most_beside_rivals(
     return np.minimum(ahead[pairs[:, 0]], ahead[pairs[:, 1]]) + lead
 
 
+def in_context(registration: Registration, context: Context | None) -> Registration:
+    """Give a registration the score and the covariance that count beside the other pairs."""
+    if context is None:
+        return registration
+    return _changed(registration, context.score, context.variance_factor)
+
+
 def own_registration(closure: LoopClosure) -> Registration:
-    """The registration of a closure with the score of the pair alone."""
-    registration, context = closure.registration, closure.context
-    return registration if context is None else replace(registration, score=context.own_score)
+    """The registration of a closure as it is for the pair alone."""
+    context = closure.context
+    if context is None:
+        return closure.registration
+    return _changed(closure.registration, context.own_score, 1 / context.variance_factor)
+
+
+def _changed(registration: Registration, score: float, factor: float) -> Registration:
+    covariance = registration.covariance
+    covariance = None if covariance is None else factor * covariance
+    return replace(registration, score=score, covariance=covariance)
 
 
 def score_against(misfit: float) -> float:
@@ -227,6 +262,9 @@ class _Compared:
         ends = np.zeros((2, len(pairs), 2))
         if len(centres):
             ends = np.array(centres)[pairs.T, :2]
+        has_motion = np.array([one.T_database_query is not None for one in chosen], bool)
+        has_motion &= np.array([one.covariance is not None for one in chosen], bool)
+        has_motion &= np.isfinite(covariances).all(axis=(1, 2))
         # From here on between the centres, with the covariance at the query's.
         placed = turned_by(ends[0], motions[:, 2]) + motions[:, :2]
         origins = motions[:, :2].tolist()
@@ -238,10 +276,7 @@ class _Compared:
             pairs,
             np.array([one.score for one in chosen], np.float64),
             np.array([log(_misfit(one)) for one in chosen], np.float64),
-            np.array(
-                [one.T_database_query is not None and one.covariance is not None for one in chosen],
-                bool,
-            ),
+            has_motion,
             motions,
             covariances,
             np.array([one.scale or 0.0 for one in chosen], np.float64),
@@ -255,6 +290,26 @@ class _Compared:
             )
         )
 
+    def gaps(self, triangles: Int[Indices, "t 3"]) -> Float[Array, "t"]:
+        """Mean squares of what is left when triangles are closed, relative to their covariances.
+
+        The pairs of a triangle lead from its last submap by its middle one to its first, and there
+        directly.
+        """
+        to_middle, onward, direct = triangles.T
+        yaw = self.motions[onward, 2]
+        arms = turned_by(self.motions[to_middle, :2], yaw)
+        gap = self.motions[to_middle] + self.motions[onward] - self.motions[direct]
+        gap[:, :2] = arms + self.motions[onward, :2] - self.motions[direct, :2]
+        gap[:, 2] = np.arctan2(np.sin(gap[:, 2]), np.cos(gap[:, 2]))
+        covariance = (
+            _turned(self.covariances[to_middle], yaw)
+            + move_covariance(self.covariances[onward], arms)
+            + self.covariances[direct]
+            + 1e-12 * np.eye(3)  # a micrometre: no motion is more exact
+        )
+        return (gap * np.linalg.solve(covariance, gap[..., None])[..., 0]).sum(axis=1) / 3
+
     def unusual(self) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
         follows = self.pairs[:, 0] - self.pairs[:, 1] == 1
         shown = self.ratios[follows & (self.scores >= NEIGHBOUR_SCORE)]
@@ -267,6 +322,48 @@ class _Compared:
         misfits = [exp(ratio - usual) for ratio in self.ratios.tolist()]
         against = [score_against(misfit) if misfit > 1 else 0.0 for misfit in misfits]
         return np.array(misfits, np.float64), np.array(against, np.float64)
+
+
+class _Triangles:
+    """Motions between each two of three submaps: their errors show when they close a triangle."""
+
+    def __init__(self) -> None:
+        self._sides: dict[Pair, int] = {}  # the number of each pair that may be one
+        self._beside: defaultdict[int, set[int]] = defaultdict(set)  # the other ends of these
+        self._num_processed = 0
+        self._triangles = np.empty((0, 3), np.intp)  # by the numbers of their pairs
+        self._gaps = np.empty(0)  # see `_Compared.gaps`
+
+    def add(self, compared: _Compared) -> None:
+        """Close the triangles of new pairs; those of the last time come first."""
+        earlier, self._num_processed = self._num_processed, len(compared.pairs)
+        possible = compared.has_motion & (compared.scores >= LEAST_LINK)
+        possible &= compared.pairs[:, 0] > compared.pairs[:, 1]
+        closed: list[tuple[int, ...]] = []
+        for number in (np.flatnonzero(possible[earlier:]) + earlier).tolist():
+            query, database = compared.pairs[number].tolist()
+            self._sides[query, database] = number
+            for third in self._beside[query] & self._beside[database]:
+                first, middle, last = sorted((query, database, third))
+                sides = (last, middle), (middle, first), (last, first)
+                closed.append(tuple(self._sides[side] for side in sides))
+            self._beside[query].add(database)
+            self._beside[database].add(query)
+        new = np.array(closed, np.intp).reshape(-1, 3)
+        parts = np.array_split(new, len(new) // MOST_AT_ONCE + 1)
+        self._triangles = np.concatenate([self._triangles, new])
+        self._gaps = np.concatenate([self._gaps, *map(compared.gaps, parts)])
+
+    def variance_factor(self, scores: Float[Array, "n"]) -> float:
+        """How many times larger variances are than the registrations say, by what is likely."""
+        likely = (scores[self._triangles] >= NEIGHBOUR_SCORE).all(axis=1)
+        gaps = np.clip(self._gaps[likely], 1e-12, MOST_GAP)
+        if not len(gaps):
+            return 1.0
+        power = GAPS_TOLD * len(gaps) / (len(gaps) + FEW_GAPS)
+        factor = (float(gaps.mean()) / USUAL_GAP) ** power
+        factor = min(max(factor, 1 / MOST_FACTOR), MOST_FACTOR)
+        return 2.0 ** (round(FACTOR_STEPS * log2(factor)) / FACTOR_STEPS)
 
 
 class _OdometrySteps:
@@ -529,13 +626,7 @@ class _Forest:
                         motion = motion.inverse()
                     ways[other] = ways[submap][0] @ motion, by_pair
         xy_yaw = np.array([(pose.x, pose.y, pose.yaw) for pose, _ in ways]).reshape(-1, 3)
-        turn = xy_yaw[links.pairs[:, 1], 2]
-        frames = np.zeros((len(turn), 3, 3))
-        frames[:, 0, 0] = frames[:, 1, 1] = np.cos(turn)
-        frames[:, 1, 0] = np.sin(turn)
-        frames[:, 0, 1] = -frames[:, 1, 0]
-        frames[:, 2, 2] = 1.0
-        covariances = frames @ links.covariances @ np.swapaxes(frames, -1, -2)
+        covariances = _turned(links.covariances, xy_yaw[links.pairs[:, 1], 2])
         above, by, deep = np.array([parent, link, depth], np.intp)
         return cls(joins, xy_yaw, above, by, deep, covariances, ways, stays)
 
@@ -560,3 +651,13 @@ class _Paths:
 
     cycles: Int[Indices, "k"]  # the number of the cycle of which each link is a part (k,)
     links: Int[Indices, "k"]  # the links (k,)
+
+
+def _turned(covariances: Float[Array, "n 3 3"], yaw: Float[Array, "n"]) -> Float[Array, "n 3 3"]:
+    """Covariances of x, y and yaw in frames that are turned by angles [rad]."""
+    frames = np.zeros((len(yaw), 3, 3))
+    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(yaw)
+    frames[:, 1, 0] = np.sin(yaw)
+    frames[:, 0, 1] = -frames[:, 1, 0]
+    frames[:, 2, 2] = 1.0
+    return frames @ covariances @ np.swapaxes(frames, -1, -2)

@@ -11,7 +11,7 @@ from collections.abc import (
 )
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, sqrt
 from threading import Lock
 from time import perf_counter
 from typing import Any, TypedDict
@@ -170,8 +170,10 @@ class Pairs:
         self._waiting: dict[int, Submap] = {}  # of which nothing is extracted before it is needed
         self._search: CandidateSearch[Any, Any] | None = None
         self._registrations: dict[Pair, Registration] = {}
-        self._passing: dict[Pair, float] = {}  # own scores of what no other threshold refuses
-        self._unchecked: list[Pair] = []  # whether it does
+        # what no threshold on inliers or dissimilarity and no image refuses: scores for the pairs
+        # alone, and standard deviations of positions [m]
+        self._passing: dict[Pair, tuple[float, float]] = {}
+        self._unchecked: list[Pair] = []  # whether they do
         self._accepted: tuple[tuple[int, int], Mapping[PairOfIds, float]] = (0, 0), {}
         self._weighed: dict[str, tuple[tuple[int, int], Consistency, Contexts]] = {}
         self._weighing = Lock()
@@ -345,18 +347,25 @@ class Pairs:
         return self._registrations[self._pair(pair)]
 
     @property
+    def variance_factor(self) -> float:
+        """By how much variances are multiplied now; see `Context`."""
+        return self._contexts(self.params.closure.others).variance_factor
+
+    @property
     def accepted(self) -> Mapping[PairOfIds, float]:
         """Scores of the pairs that are accepted now, by ids; quicker than `judge`."""
         count = len(self.submaps), len(self._registrations)
         if self._accepted[0] != count:
             self._passing |= self._pass({k: self._registrations[k] for k in self._unchecked})
             self._unchecked = []
-            scores = self._contexts(self.params.closure.others).scores
-            least, ids = self.params.closure.min_score, [submap.id for submap in self.submaps]
+            contexts = self._contexts(self.params.closure.others)
+            scores, spread = contexts.scores, sqrt(contexts.variance_factor)
+            closure, ids = self.params.closure, [submap.id for submap in self.submaps]
             accepted = {
                 (ids[query], ids[database]): score
-                for (query, database), alone in self._passing.items()
-                if (score := scores.get((query, database), alone)) >= least
+                for (query, database), (alone, std) in self._passing.items()
+                if (score := scores.get((query, database), alone)) >= closure.min_score
+                and spread * std <= closure.max_std
             }
             self._accepted = count, accepted
         return self._accepted[1]
@@ -495,16 +504,16 @@ class Pairs:
 
     def _pass(
         self, registrations: Mapping[Pair, Registration], new: Submap | None = None
-    ) -> dict[Pair, float]:
-        """Find the pairs that nothing but their scores can refuse, and give these."""
+    ) -> dict[Pair, tuple[float, float]]:
+        """Find the pairs that only their scores or deviations can refuse, and return these."""
         submaps = self.submaps if new is None else [*self.submaps, new]
         return {
-            (query, database): registration.score
+            (query, database): (registration.score, registration.position_std or 0.0)
             for (query, database), registration in registrations.items()
             if judge_pair(
                 submaps[query],
                 submaps[database],
-                replace(registration, score=inf),
+                replace(registration, score=inf, covariance=None),
                 self.params,
                 self._images,
             ).accepted

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from typing_extensions import Doc
 
-from gpgrad_core.detection.consistency import score_against
+from gpgrad_core.detection.consistency import in_context, score_against
 from gpgrad_core.errors import told_apart
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import (
@@ -185,16 +185,15 @@ def classify(
     """Decide whether a registration is a loop closure: the paper's AcceptTransformation.
 
     Args:
-        registration: The registration of the query to the database, with the score of the pair
-            alone.
+        registration: The registration of the query to the database, as it is for the pair alone.
         params: The thresholds.
         query_id: Name of the query submap.
         database_id: Name of the database submap.
-        context: What the other pairs of the dataset say; its score then counts.
+        context: What the other pairs of the dataset say; its score then counts, and its variance
+            factor multiplies the covariance.
     """
     params = params or ClosureParams()
-    if context is not None:
-        registration = replace(registration, score=context.score)
+    registration = in_context(registration, context)
     refusal = find_refusal(registration, params, context)
     if refusal is None:
         reason = _met(registration, params, context)

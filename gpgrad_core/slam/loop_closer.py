@@ -206,6 +206,7 @@ class LoopCloser:
         self._radius, self._executor, self._incremental = search_radius, executor, incremental
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
+        self._variance_factor = 1.0  # by which the graph's closures were weighed
         self._cache: dict[str, tuple[int, Any]] = {}  # what was made last, of how many submaps
         self._last: Step | None = None
         self._posed: Problem | None = None
@@ -271,7 +272,12 @@ class LoopCloser:
         traverse = Dataset("the traverse", tuple(self._submaps))
         poses, centres = odometry_poses(traverse), traverse.centres
         earlier = self._cache["graph"][1].edges if "graph" in self._cache else ()
-        reusable = {(*edge.pair, edge.kind): edge for edge in earlier}
+        last_factor, self._variance_factor = self._variance_factor, self._pairs.variance_factor
+        reusable = {
+            (*edge.pair, edge.kind): edge
+            for edge in earlier
+            if edge.kind == "odometry" or last_factor == self._variance_factor
+        }
         edges = [
             reusable.get((end.id, start.id, "odometry")) or odometry_edge(start, end, self._graph)
             for (start, end), (before, number) in zip(
@@ -282,8 +288,7 @@ class LoopCloser:
         for pair, score in self._pairs.accepted.items():
             edge = reusable.get((*pair, "loop"))
             if edge is None:
-                registration = replace(self._pairs.registration(pair), score=score)
-                closure = LoopClosure(*pair, registration, True, "")
+                (closure,) = self._pairs.judge(pairs=[pair])
                 edge = loop_edge(closure, poses, centres, self._graph)
             edges.append(edge if edge.score == score else replace(edge, score=score))
         graph = PoseGraph(poses, tuple(edges), self._graph.tilt_std, centres=centres)

@@ -195,6 +195,15 @@ class _Inliers(Struct):
     bits: bytes
 
 
+class _Context(Struct, array_like=True):
+    own_score: NotNegative
+    score: NotNegative
+    misfit: NotNegative
+    support: Finite
+    places: Count
+    variance_factor: NotNegative = 1.0  # older files have none
+
+
 class _Pair(Struct, omit_defaults=True):
     """A closure with all of its digits, its parts as lists; `Registration` explains the names."""
 
@@ -219,7 +228,7 @@ class _Pair(Struct, omit_defaults=True):
     evidence: Annotated[tuple[Finite, ...], Meta(max_length=1000)] = ()
     mean_dissimilarity: NotNegative | None = None
     images: tuple[ImageSays, Text, Count, Count] | None = None
-    context: tuple[NotNegative, NotNegative, NotNegative, Finite, Count] | None = None
+    context: _Context | None = None
     undecided: bool = False
     overlap_middle: tuple[Coordinate, Coordinate] | None = None
 
@@ -240,6 +249,7 @@ class _Pair(Struct, omit_defaults=True):
         values = structs.asdict(self)
         values |= {"inliers": bits[:count].astype(np.bool_)}
         values |= {"covariance": None if covariance is None else np.array(covariance)}
+        values |= {"context": self.context and structs.astuple(self.context)}
         return closure_of(values)
 
 

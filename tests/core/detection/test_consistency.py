@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpgrad_core.detection.consistency import MOST_SUPPORT, Consistency, own_registration
+from gpgrad_core.detection.consistency import (
+    GAPS_TOLD,
+    MOST_FACTOR,
+    MOST_SUPPORT,
+    USUAL_GAP,
+    Consistency,
+    own_registration,
+)
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
@@ -170,3 +177,55 @@ def test_pairs_whose_terrain_was_not_compared_are_left_out() -> None:
     bare = registration(true_motion(7, 0), 4.0, None)
     assert Consistency().weigh({}) == {}
     assert (7, 0) not in Consistency().weigh(drive() | {(7, 0): bare})
+
+
+def overlapping(times: float) -> dict[tuple[int, int], Registration]:
+    """Submaps on the four before them, with errors so many times what the registrations say."""
+    rng, poses, pairs = np.random.default_rng(5), circle(24, 8.0), {}
+    for query in range(1, len(poses)):
+        for database in range(max(query - 4, 0), query):
+            x, y, yaw = (times * rng.normal(0.0, [0.02, 0.02, 0.003])).tolist()
+            motion = true_motion(query, database, poses)
+            off = SE2(motion.x + x, motion.y + y, motion.yaw + yaw)
+            pairs[query, database] = registration(off, 6.0)
+    return pairs
+
+
+@pytest.mark.parametrize("times", [0.2, 0.5, 1.0, 2.0])
+def test_triangles_show_how_large_the_errors_of_a_dataset_are(times: float) -> None:
+    pairs = overlapping(times)
+    (factor,) = {context.variance_factor for context in Consistency().weigh(pairs).values()}
+    assert factor == pytest.approx((times**2 / USUAL_GAP) ** GAPS_TOLD, rel=0.25)
+
+
+def test_errors_of_no_size_and_of_no_known_size_do_no_harm() -> None:
+    pairs = overlapping(0.0)
+    assert Consistency().weigh(pairs)[9, 6].variance_factor == 1 / MOST_FACTOR
+    unknown = replace(pairs[9, 6], covariance=np.full((3, 3), np.nan))
+    assert (
+        Consistency()
+        .weigh({(9, 6): unknown, (9, 5): unknown, (6, 5): unknown})[9, 6]
+        .variance_factor
+        == 1.0
+    )
+
+
+def test_a_wrong_motion_says_nothing_of_the_errors_of_the_others() -> None:
+    pairs = overlapping(1.0)
+    before = Consistency().weigh(pairs)[9, 6]
+    pairs[9, 6] = registration(ELSEWHERE @ pairs[9, 6].T_database_query, 4.0)
+    after = Consistency().weigh(pairs)[9, 6]
+    assert after.score < 3
+    assert after.variance_factor == before.variance_factor
+
+
+def test_a_position_is_as_uncertain_as_the_errors_of_the_dataset_are() -> None:
+    pairs = overlapping(2.0)
+    context, alone = Consistency().weigh(pairs)[9, 6], pairs[9, 6]
+    closure = classify(alone, ClosureParams(), context=context)
+    larger = np.sqrt(context.variance_factor)
+    assert larger > 1.5
+    assert closure.registration.position_std == pytest.approx(larger * alone.position_std)
+    assert not classify(alone, ClosureParams(max_std=0.03), context=context).accepted
+    assert classify(alone, ClosureParams(max_std=0.03)).accepted
+    np.testing.assert_allclose(own_registration(closure).covariance, alone.covariance)
