@@ -80,7 +80,6 @@ CANDIDATES: dict[str, Candidates] = {
 PLACES = ("summary", "matrix", "block", "key", "scores", "disagreements", "curve", "threshold")
 """Pictures and texts from above to below; the one called "reasons" stands below the rule."""
 
-
 _Judging: TypeAlias = tuple[PairsRun, ViewState, Rule]
 """What is to be judged: by the thresholds of the state, and by the rule."""
 
