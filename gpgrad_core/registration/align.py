@@ -281,7 +281,8 @@ def take_warp_out(overlap: Overlay) -> Heights:
     offset, along_x, along_y, *bends = (0.5 * coefficients).astype(np.float32)
     x, y = columns.astype(np.float32), rows[:, None].astype(np.float32)
     half = (offset + (along_x + bends[0] * x) * x) + (along_y + bends[1] * x + bends[2] * y) * y
-    flat = np.stack([overlap.heights[..., 0] - half, overlap.heights[..., 1] + half], axis=2)
+    ours, theirs = cv2.split(overlap.heights)
+    flat = _merge(ours - half, theirs + half)
     weight = common.astype(np.float32)[..., None]
     flat *= weight
     flat -= weight * (np.array(cv2.sumElems(flat)[:2]) / len(row)).astype(np.float32)

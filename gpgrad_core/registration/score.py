@@ -147,11 +147,12 @@ class _Band:
 def _compare_bands(overlap: Overlay) -> Iterator[_Band]:
     """Compare the heights in one band after the other, from the shortest waves."""
     common, count = overlap.common, overlap.count
-    unknown = overlap.noise[common].astype(np.float64)
+    cells = np.flatnonzero(common)  # by number they are found in half the time
+    unknown = overlap.noise.reshape(-1, NUM_BANDS)[cells].astype(np.float64)
     pair = take_warp_out(overlap)
     for band in range(NUM_BANDS):
         smoother = smooth_between(pair, common, band_edges(overlap.scale, band), overlap.step)
-        a, b = (pair - smoother)[common].astype(np.float64).T
+        a, b = (pair - smoother).reshape(-1, 2)[cells].astype(np.float64).T
         pair = smoother
         squared = 0.5 * np.square(a - b)
         signal = 0.5 * float(a @ a + b @ b) / count
