@@ -342,10 +342,6 @@ class Pairs:
             tuple(closures), self.seconds, params, self.shortlists, self.hyperparameters
         )
 
-    def registration(self, pair: PairOfIds) -> Registration:
-        """The registration of a compared pair, with its score alone."""
-        return self._registrations[self._pair(pair)]
-
     @property
     def variance_factor(self) -> float:
         """By how much variances are multiplied now; see `Context`."""
@@ -360,12 +356,15 @@ class Pairs:
             self._unchecked = []
             contexts = self._contexts(self.params.closure.others)
             scores, spread = contexts.scores, sqrt(contexts.variance_factor)
+            weighed = {
+                pair: (scores[pair], spread * std) if pair in scores else (alone, std)
+                for pair, (alone, std) in self._passing.items()
+            }
             closure, ids = self.params.closure, [submap.id for submap in self.submaps]
             accepted = {
                 (ids[query], ids[database]): score
-                for (query, database), (alone, std) in self._passing.items()
-                if (score := scores.get((query, database), alone)) >= closure.min_score
-                and spread * std <= closure.max_std
+                for (query, database), (score, std) in weighed.items()
+                if score >= closure.min_score and std <= closure.max_std
             }
             self._accepted = count, accepted
         return self._accepted[1]
