@@ -784,7 +784,7 @@ class Context:
         places: Number of places at which motions put one of the two submaps; with more than one,
             the ground repeats.
         variance_factor: How many times larger the variances of the dataset's motions are than
-            their registrations say, as its triangles of closures show.
+            their registrations say, as its triangles of closures show; at least 1.
     """
 
     own_score: NotNegative

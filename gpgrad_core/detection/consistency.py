@@ -65,7 +65,7 @@ GAPS_TOLD, FEW_GAPS = 0.6, 5
 of it."""
 FACTOR_STEPS, MOST_FACTOR = 4, 4.0
 """Steps of a variance factor from one to twice that: finer ones would change it all the time. And
-the most that it is, or one over the least."""
+the most that it is. It is at least one: triangles that close well may share what is wrong."""
 
 ORIGIN = SE2()
 """Where the first submap of each tree lies."""
@@ -362,7 +362,7 @@ class _Triangles:
             return 1.0
         power = GAPS_TOLD * len(gaps) / (len(gaps) + FEW_GAPS)
         factor = (float(gaps.mean()) / USUAL_GAP) ** power
-        factor = min(max(factor, 1 / MOST_FACTOR), MOST_FACTOR)
+        factor = min(max(factor, 1.0), MOST_FACTOR)
         return 2.0 ** (round(FACTOR_STEPS * log2(factor)) / FACTOR_STEPS)
 
 
