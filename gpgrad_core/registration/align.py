@@ -1,5 +1,6 @@
 """Lays one surface on another: overlaid cell by cell, or aligned to a few centimetres."""
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -42,7 +43,7 @@ WARP_ROUNDS = 3
 WARP_CELLS = 600
 """Number of cells that the warp is fitted to."""
 
-Heights: TypeAlias = Float32[Singles, "rows columns 2"]
+Heights: TypeAlias = Float32[Singles, "m rows columns"]
 
 
 @dataclass(frozen=True)
@@ -154,13 +155,13 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
 
 def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
     """Compute the share of long waves to remove, so that long and short waves differ equally."""
-    overlap = overlay(query, database, motion)
-    if overlap.count < FEWEST_CELLS:
+    overlap = overlay(query, database, [motion])
+    if overlap.counts[0] < FEWEST_CELLS:
         return 0.0
-    pair = take_warp_out(overlap)
-    smooth = smooth_between(pair, overlap.common, (0.0, overlap.scale), overlap.step)
-    long = (smooth[..., 0] - smooth[..., 1])[overlap.common]
-    short = (pair[..., 0] - pair[..., 1])[overlap.common] - long
+    ours, theirs = take_warp_out(overlap)
+    smooth_ours, smooth_theirs = smooth_between(ours, theirs, overlap, (0.0, overlap.scale))
+    long = (smooth_ours - smooth_theirs)[overlap.common]
+    short = (ours - theirs)[overlap.common] - long
     least, most = (float(np.median(np.square(part))) for part in (short, long))
     return min(max(1 - sqrt(least / most), 0.0), MOST_REMOVED) if most > 0 else 0.0
 
@@ -188,12 +189,15 @@ def overlays(
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Two maps on the database's cells, cropped to the box around their common cells."""
+    """Two maps on the database's cells under several motions, in the box of all common cells."""
 
-    common: Bool[Mask, "rows columns"]  # cells that both maps trust (rows, columns)
-    heights: Heights  # elevation of the query and of the database (rows, columns, 2) [m]
-    # half the variance of the uncertainty of both maps in each band (rows, columns, bands) [m²]
-    noise: Float32[Singles, "rows columns bands"]
+    common: Bool[Mask, "m rows columns"]  # cells that both maps trust (m, rows, columns)
+    ours: Heights  # elevation of the query (m, rows, columns) [m]
+    theirs: Float32[Singles, "rows columns"]  # elevation of the database (rows, columns) [m]
+    # half the variance of the uncertainty of both maps in each band, at the common cells of one
+    # motion after the other (n, bands) [m²]
+    noise: Float32[Singles, "n bands"]
+    counts: Int[Indices, "m"]  # number of common cells under each motion (m,)
     grid: Grid  # of these cells, in the database's frame
     scale: float  # scale of comparison [m]
 
@@ -201,35 +205,57 @@ class Overlay:
     def step(self) -> float:
         return self.grid.resolution
 
-    @property
-    def count(self) -> int:
-        return int(np.count_nonzero(self.common))
+    def select(self, motions: Bool[Mask, "m"]) -> "Overlay":
+        """Select some of the motions."""
+        if motions.all():
+            return self
+        return replace(
+            self,
+            common=self.common[motions],
+            ours=self.ours[motions],
+            noise=self.noise[np.repeat(motions, self.counts)],
+            counts=self.counts[motions],
+        )
 
 
-def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay:
-    """Resample the query on the database's cells."""
-    inverse, step = T_database_query.inverse(), database.grid.resolution
-    corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
-    onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
-    moved = cv2.warpAffine(
-        _heights_and_noise(query),
-        onto,
-        database.grid.shape[::-1],
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-    )
+def overlay(query: Surface, database: Surface, motions: Sequence[SE2]) -> Overlay:
+    """Resample the query on the database's cells under each ``T_database_query``."""
+    grid, image = database.grid, _heights_and_noise(query)
+    moved = np.empty((len(motions), *grid.shape, image.shape[2]), np.float32)
+    for motion, out in zip(motions, moved, strict=True):
+        c, s = np.cos(motion.yaw), np.sin(motion.yaw)
+        x, y = grid.origin[0] - motion.x, grid.origin[1] - motion.y
+        column, row = (
+            (place - origin) / query.grid.resolution
+            for place, origin in zip((c * x + s * y, c * y - s * x), query.grid.origin, strict=True)
+        )
+        c, s = (grid.resolution / query.grid.resolution * part for part in (c, s))
+        onto = np.array([[c, s, column], [-s, c, row]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        cv2.warpAffine(image, onto, grid.shape[::-1], out, flags=flags)
     common = (moved[..., 1] > 0.999) & database.trusted
-    rows, columns = np.flatnonzero(common.any(axis=1)), np.flatnonzero(common.any(axis=0))
-    if not len(rows):
+    cells = np.flatnonzero(common)  # by number they are found in half the time
+    bands = database.noise.shape[2]
+    noise = moved.reshape(-1, image.shape[2])[cells, 2 : 2 + bands]
+    num_cells = database.trusted.size
+    noise += database.noise.reshape(num_cells, bands)[cells % num_cells]
+    noise *= np.float32(0.5)
+    rows, columns = (np.flatnonzero(common.any(axis=axes)) for axes in ((0, 2), (0, 1)))
+    if not len(cells):
         rows = columns = np.zeros(1, int)
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    heights = _merge(np.array(moved[..., 0][box], np.float32), database.elevation[box])
-    bands = database.noise.shape[2]
-    noise = np.float32(0.5) * (moved[..., 2 : 2 + bands][box] + database.noise[box])
-    x, y = database.grid.origin
-    corner = x + step * int(columns[0]), y + step * int(rows[0])
-    height, width = common[box].shape
-    grid = Grid(corner, step, (height, width))
-    return Overlay(common[box], heights, np.asarray(noise, np.float32), grid, database.scale)
+    inside = np.ascontiguousarray(common[:, *box])
+    x, y = grid.origin
+    corner = x + grid.resolution * int(columns[0]), y + grid.resolution * int(rows[0])
+    return Overlay(
+        inside,
+        np.ascontiguousarray(moved[:, *box, 0]),
+        np.ascontiguousarray(database.elevation[box]),
+        noise,
+        np.array([np.count_nonzero(one) for one in inside]),
+        Grid(corner, grid.resolution, (inside.shape[1], inside.shape[2])),
+        database.scale,
+    )
 
 
 # The last results of these functions are kept, because a query is compared with many databases in a
@@ -254,39 +280,71 @@ def _merge(*images: Singles) -> Singles:
     return np.asarray(cv2.merge(images), np.float32)
 
 
-def take_warp_out(overlap: Overlay) -> Heights:
-    """Remove the offset, tilt and bend of the difference, half from each map, and the mean."""
-    common, step = overlap.common, overlap.step
-    row, column = np.nonzero(common)
-    every = max(1, len(row) // WARP_CELLS)
-    rows, columns = (np.arange(side) * step for side in common.shape)
-    rows, columns = rows - row.mean() * step, columns - column.mean() * step
-    x, y = columns[column[::every]], rows[row[::every]]
-    some = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+def take_warp_out(overlap: Overlay) -> tuple[Heights, Heights]:
+    """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
+
+    There is at least one common cell under each motion. Elsewhere the heights are 0.
+    """
+    common, step, counts = overlap.common, overlap.step, overlap.counts
+    shown = common.astype(np.float32)
+    # Relative to the middle of the common cells.
+    rows, columns = (np.arange(side, dtype=np.float64) for side in common.shape[1:])
+    x = step * (columns - (shown.sum(axis=1) @ columns / counts)[:, None])
+    y = step * (rows - (shown.sum(axis=2) @ rows / counts)[:, None])
+    every = np.maximum(1, counts // WARP_CELLS)
+    cells, used = _every(common, every)
+    rows, columns = np.divmod(cells, common.shape[2])
+    x_there, y_there = np.take_along_axis(x, columns, 1), np.take_along_axis(y, rows, 1)
+    some = np.stack(
+        [np.ones_like(x_there), x_there, y_there, x_there**2, x_there * y_there, y_there**2], axis=1
+    )
+    ours_there = np.take_along_axis(overlap.ours.reshape(len(common), -1), cells, 1)
+    theirs_there = overlap.theirs.reshape(-1)[cells]
+    difference = ours_there.astype(np.float64) - theirs_there
     precision = _precision(DRIFTED)[3:]  # of the offset, the tilts and the bends
-    heights = overlap.heights[row[::every], column[::every]].astype(np.float64)
-    difference = heights[:, 0] - heights[:, 1]
-    left = difference - median(difference)
-    cells_a_patch = max(1.0, 2 * pi * overlap.scale**2 / (every * step**2))
-    coefficients = np.zeros(len(precision))
-    weight = np.ones_like(difference)
+    cells_a_patch = np.maximum(1.0, 2 * pi * overlap.scale**2 / (every * step**2))
+    diagonal = np.arange(len(precision))
+    coefficients = np.zeros((len(common), 1, len(precision)))
+    numbers = used.sum(axis=1)
+    left = difference - medians(difference, numbers)[:, None]
+    weight = used.astype(np.float64)
     for _ in range(WARP_ROUNDS):
-        variance = median(left * left) / 0.455 + 1e-12
-        weighed = some * weight
-        normal = weighed @ some.T
-        normal += np.diag(precision * variance * cells_a_patch + 1e-9 * np.diagonal(normal))
-        coefficients = np.linalg.solve(normal, weighed @ difference)
-        left = difference - coefficients @ some
-        weight = 1 / (1 + left * left / variance)
-    offset, along_x, along_y, *bends = (0.5 * coefficients).astype(np.float32)
-    x, y = columns.astype(np.float32), rows[:, None].astype(np.float32)
+        squared = left * left
+        variance = medians(squared, numbers) / 0.455 + 1e-12
+        weighed = some * weight[:, None]
+        normal = weighed @ some.transpose(0, 2, 1)
+        normal[:, diagonal, diagonal] *= 1 + 1e-9
+        normal[:, diagonal, diagonal] += np.outer(variance * cells_a_patch, precision)
+        solved = np.linalg.solve(normal, weighed @ difference[..., None])
+        coefficients = solved.transpose(0, 2, 1)
+        left = difference - (coefficients @ some)[:, 0]
+        weight = used / (1 + left * left / variance[:, None])
+    offset, along_x, along_y, *bends = (
+        np.float32(0.5) * coefficients.astype(np.float32)
+    ).transpose(2, 0, 1)[..., None]
+    x, y = x.astype(np.float32)[:, None], y.astype(np.float32)[..., None]
     half = (offset + (along_x + bends[0] * x) * x) + (along_y + bends[1] * x + bends[2] * y) * y
-    ours, theirs = cv2.split(overlap.heights)
-    flat = _merge(ours - half, theirs + half)
-    weight = common.astype(np.float32)[..., None]
-    flat *= weight
-    flat -= weight * (np.array(cv2.sumElems(flat)[:2]) / len(row)).astype(np.float32)
-    return flat
+    pair = np.stack([overlap.ours - half, half + overlap.theirs]) * shown
+    means = pair.sum(axis=(2, 3), dtype=np.float64) / counts
+    pair -= shown * means.astype(np.float32)[..., None, None]
+    return pair[0], pair[1]
+
+
+def _every(
+    common: Bool[Mask, "m rows columns"], steps: Int[Indices, "m"]
+) -> tuple[Int[Indices, "m cells"], Bool[Mask, "m cells"]]:
+    """Number every n-th common cell of each motion; rows are as long as the longest."""
+    chosen = [np.flatnonzero(one)[::step] for one, step in zip(common, steps, strict=True)]
+    lengths = np.array([len(one) for one in chosen])
+    used = np.arange(lengths.max()) < lengths[:, None]
+    cells = np.zeros(used.shape, np.intp)
+    cells[used] = np.concatenate(chosen)
+    return cells, used
+
+
+def medians(values: Float[Array, "m n"], numbers: Int[Indices, "m"]) -> Float[Array, "m"]:
+    """Compute the median of the first values of each row."""
+    return np.array([median(row[:n]) for row, n in zip(values, numbers.tolist(), strict=True)])
 
 
 def median(values: Float[Array, "n"]) -> float:
@@ -303,19 +361,18 @@ def median(values: Float[Array, "n"]) -> float:
 
 
 def smooth_between(
-    pair: Heights, common: Bool[Mask, "rows columns"], edges: tuple[float, float], step: float
-) -> Heights:
+    ours: Heights, theirs: Heights, overlap: Overlay, edges: tuple[float, float]
+) -> tuple[Heights, Heights]:
     """Smooth heights [m] between the edges of a band, which are widths of Gaussians [m]."""
     fine, coarse = edges
-    weight = common.astype(np.float32)
-    blurred = cv2.GaussianBlur(
-        _merge(pair, weight),
-        (0, 0),
-        sqrt(coarse**2 - fine**2) / step,
-        borderType=cv2.BORDER_CONSTANT,
-    )
-    share = np.maximum(blurred[..., 2], 1e-6)
-    return np.asarray(blurred[..., :2] * (weight / share)[..., None], np.float32)
+    sigma = sqrt(coarse**2 - fine**2) / overlap.step
+    blurred = np.empty((3, *ours.shape), np.float32)
+    weight = overlap.common.astype(np.float32)
+    for k, parts in enumerate(zip(ours, theirs, weight, strict=True)):
+        once = cv2.GaussianBlur(_merge(*parts), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        cv2.split(once, list(blurred[:, k]))
+    share = weight / np.maximum(blurred[2], 1e-6)
+    return blurred[0] * share, blurred[1] * share
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,10 +445,17 @@ class _Problem:
     ) -> tuple[Float[Array, "m 3"], Float[Singles, "m cells"] | None]:
         motions = np.array([[start.x, start.y, start.yaw] for start in starts])
         weight: Float[Singles, "m cells"] | None = None
+        moving = np.arange(len(motions))
         for _ in range(iterations):
-            step = self.linearise(motions, weight)
-            weight = step.weight
-            motions = np.where(step.held[:, None], self._moved(motions, step.change), motions)
+            step = self.linearise(motions[moving], None if weight is None else weight[moving])
+            if weight is None:
+                weight = step.weight
+            weight[moving] = step.weight
+            # A motion that is not held stays where it is, and so it is never held.
+            moving = moving[step.held]
+            if not len(moving):
+                break
+            motions[moving] = self._moved(motions[moving], step.change[step.held])
         return motions, weight
 
     def _moved(

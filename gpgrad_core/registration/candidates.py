@@ -133,14 +133,13 @@ def _distinct(
 def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[Mask, "m"]:
     """Find the inliers of a motion within a radius [m]; of those that share a keypoint the best."""
     errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
+    near = np.flatnonzero(errors <= radius)
+    order = near[np.argsort(errors[near], kind="stable")]
+    places = (map(tuple, xy[order].tolist()) for xy in (matches.query_xy, matches.database_xy))
     inliers = np.zeros(len(matches), bool)
-    taken_query: set[tuple[float, float]] = set()
-    taken_database: set[tuple[float, float]] = set()
-    for k in np.argsort(errors, kind="stable"):
-        if errors[k] > radius:
-            break
-        in_query = (float(matches.query_xy[k, 0]), float(matches.query_xy[k, 1]))
-        in_database = (float(matches.database_xy[k, 0]), float(matches.database_xy[k, 1]))
+    taken_query: set[tuple[float, ...]] = set()
+    taken_database: set[tuple[float, ...]] = set()
+    for k, in_query, in_database in zip(order.tolist(), *places, strict=True):
         if in_query not in taken_query and in_database not in taken_database:
             taken_query.add(in_query)
             taken_database.add(in_database)

@@ -103,10 +103,10 @@ def register_prepared(
     )
     progress(0.6)
     # |A_i|, and in the place of ComputeSSDMetric a score that is comparable between pairs.
-    candidates = [
-        pair.score(aligned.motion(k), partial(aligned.alignment, k))
-        for k in pair.rank(aligned)[:NUM_SCORED]
-    ]
+    chosen = pair.rank(aligned)[:NUM_SCORED]
+    candidates = pair.score(
+        [aligned.motion(k) for k in chosen], [partial(aligned.alignment, k) for k in chosen]
+    )
     progress(1.0)
     return pair.best_of(candidates)
 
@@ -138,7 +138,7 @@ def refine(
     """
     pair = _PreparedPair(prepare(query), prepare(database), matches, params or RegistrationParams())
     aligned = align(*pair.surfaces, start, num_cells=REFINED_CELLS, iterations=ALIGNED_ITERATIONS)
-    return pair.best_of([pair.score(aligned.motion, lambda: aligned)])
+    return pair.best_of(pair.score([aligned.motion], [lambda: aligned]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,17 +188,18 @@ class _PreparedPair:
         order = np.lexsort((by_evidence, np.minimum(by_evidence, by_likeness)))
         return [distinct[k] for k in order]
 
-    def score(self, motion: SE2, alignment: Callable[[], Alignment]) -> _Candidate:
-        inliers = one_to_one(motion, self.matches, self.inlier_radius)
-        evidence, num_inliers = weigh(*self.surfaces, motion), int(inliers.sum())
-        return _Candidate(
-            motion,
-            alignment,
-            inliers,
-            closure_score(evidence, num_inliers),
-            evidence.agreement,
-            () if evidence.agreement is None else shares_of_evidence(evidence, num_inliers),
-        )
+    def score(
+        self, motions: Sequence[SE2], alignments: Sequence[Callable[[], Alignment]]
+    ) -> list[_Candidate]:
+        candidates: list[_Candidate] = []
+        evidence = weigh(*self.surfaces, motions)
+        for motion, alignment, one in zip(motions, alignments, evidence, strict=True):
+            inliers = one_to_one(motion, self.matches, self.inlier_radius)
+            count = int(inliers.sum())
+            shares = () if one.agreement is None else shares_of_evidence(one, count)
+            score = closure_score(one, count)
+            candidates.append(_Candidate(motion, alignment, inliers, score, one.agreement, shares))
+        return candidates
 
     def best_of(self, candidates: Sequence[_Candidate]) -> Registration:
         """Align the best motions finely if one could be right; each keeps its higher score."""
@@ -235,7 +236,7 @@ class _PreparedPair:
 
     def _aligned_finely(self, candidate: _Candidate) -> _Candidate:
         aligned = align_fine(self.query.sharp, self.database.sharp, candidate.motion)
-        return self.score(aligned.motion, lambda: aligned)
+        return self.score([aligned.motion], [lambda: aligned])[0]
 
 
 def _distinct(aligned: Alignments, middle: Float[Array, "2"], scale: float) -> list[int]:

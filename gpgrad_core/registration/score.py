@@ -1,15 +1,15 @@
 """How well two maps agree under a motion: the evidence, its score, and the paper's h."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import exp, expm1, log, log1p, pi, sqrt
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int
 
-from gpgrad_core.arrays import Array, Floats, Singles
+from gpgrad_core.arrays import Array, Floats, Indices, Singles
 from gpgrad_core.registration.align import (
     FEWEST_CELLS,
     Overlay,
@@ -46,8 +46,8 @@ class Evidence:
     agreement: Agreement | None = None
 
 
-def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
-    """Compare the terrain of two maps over their overlap, band by band.
+def weigh(query: Surface, database: Surface, motions: Sequence[SE2]) -> list[Evidence]:
+    """Compare the terrain of two maps over their overlap under each motion, band by band.
 
     If both maps show one terrain, the difference of their heights in a band has the variance of
     the uncertainty of both, N, and of drift. If they show two terrains, the variance S of the
@@ -59,19 +59,25 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
     Where N is as large as S, neither noise nor flat ground says anything. An offset, a tilt and a
     bend are removed first. The log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
-    overlap = overlay(query, database, T_database_query)
-    patches = overlap.count * overlap.step**2 / (2 * pi * overlap.scale**2)
-    if overlap.count < FEWEST_CELLS:
-        return Evidence(patches, (0.0,) * NUM_BANDS)
-    log_ratios: list[float] = []
-    difference = possible = relief = 0.0
-    for band in _compare_bands(overlap):
-        log_ratios.append(float(np.mean(band.log_ratio)))
-        difference += 2 * median(band.squared) / 0.455
-        possible += 2 * float(np.mean(band.variance_of_one))
-        relief += band.signal
-    agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
-    return Evidence(patches, tuple(log_ratios), agreement)
+    overlap = overlay(query, database, motions)
+    patches = (overlap.counts * overlap.step**2 / (2 * pi * overlap.scale**2)).tolist()
+    evidence = [Evidence(area, (0.0,) * NUM_BANDS) for area in patches]
+    held = overlap.counts >= FEWEST_CELLS
+    if not held.any():
+        return evidence
+    bands = list(_compare_bands(overlap.select(held)))
+    for row, k in enumerate(np.flatnonzero(held).tolist()):
+        of_motion = [band.of_motion(row) for band in bands]
+        evidence[k] = Evidence(
+            patches[k],
+            tuple(float(np.mean(band.log_ratio)) for band in of_motion),
+            Agreement(
+                sqrt(sum(2 * median(band.squared) / 0.455 for band in of_motion)),
+                sqrt(sum(2 * float(np.mean(band.variance_of_one)) for band in of_motion)),
+                sqrt(sum(float(band.signal[0]) for band in of_motion)),
+            ),
+        )
+    return evidence
 
 
 def rough_evidence(
@@ -124,10 +130,10 @@ def map_agreement(
     the evidence.
     """
     surfaces = smooth_surface(query, max_std_ratio), smooth_surface(database, max_std_ratio)
-    overlap = overlay(*surfaces, T_database_query)
-    shown = np.full(overlap.common.shape, np.nan, np.float32)
-    if overlap.count >= FEWEST_CELLS:
-        shown[overlap.common] = sum(
+    overlap = overlay(*surfaces, [T_database_query])
+    shown = np.full(overlap.grid.shape, np.nan, np.float32)
+    if overlap.counts[0] >= FEWEST_CELLS:
+        shown[overlap.common[0]] = sum(
             weight / 2**k * band.log_ratio
             for k, (weight, band) in enumerate(
                 zip(BAND_WEIGHTS, _compare_bands(overlap), strict=True)
@@ -138,28 +144,46 @@ def map_agreement(
 
 @dataclass(frozen=True, eq=False)
 class _Band:
+    """A band of the heights of two maps at the common cells of one motion after the other."""
+
     squared: Float[Array, "n"]  # square of the difference of the heights, divided by 2 [m²]
     variance_of_one: Float[Array, "n"]  # variance of that if both maps show one terrain [m²]
-    signal: float  # variance S of the terrain itself [m²]
     log_ratio: Float[Array, "n"]  # of one terrain against two
+    signal: Float[Array, "m"]  # variance S of the terrain itself under each motion [m²]
+    ends: Int[Indices, "m"]  # number of the cells up to the end of each motion
+
+    def of_motion(self, k: int) -> "_Band":
+        """Select the cells of one motion."""
+        cells = slice(self.ends[k - 1] if k else 0, self.ends[k])
+        return _Band(
+            self.squared[cells],
+            self.variance_of_one[cells],
+            self.log_ratio[cells],
+            self.signal[k : k + 1],
+            self.ends[k : k + 1],
+        )
 
 
 def _compare_bands(overlap: Overlay) -> Iterator[_Band]:
     """Compare the heights in one band after the other, from the shortest waves."""
-    common, count = overlap.common, overlap.count
-    cells = np.flatnonzero(common)  # by number they are found in half the time
-    unknown = overlap.noise.reshape(-1, NUM_BANDS)[cells].astype(np.float64)
+    cells = np.flatnonzero(overlap.common)
+    counts, ends = overlap.counts, np.cumsum(overlap.counts)
+    unknown = overlap.noise.astype(np.float64)
     pair = take_warp_out(overlap)
     for band in range(NUM_BANDS):
-        smoother = smooth_between(pair, common, band_edges(overlap.scale, band), overlap.step)
-        a, b = (pair - smoother).reshape(-1, 2)[cells].astype(np.float64).T
+        smoother = smooth_between(*pair, overlap, band_edges(overlap.scale, band))
+        a, b = (
+            (fine - coarse).reshape(-1)[cells].astype(np.float64)
+            for fine, coarse in zip(pair, smoother, strict=True)
+        )
         pair = smoother
         squared = 0.5 * np.square(a - b)
-        signal = 0.5 * float(a @ a + b @ b) / count
-        variance_of_one = unknown[:, band] + DRIFT_SHARE**2 * signal + 1e-8
-        variance_of_two = unknown[:, band] + signal + 1e-8
+        signal = 0.5 * np.add.reduceat(a * a + b * b, ends - counts) / counts
+        of_cells = np.repeat(signal, counts)
+        variance_of_one = unknown[:, band] + DRIFT_SHARE**2 * of_cells + 1e-8
+        variance_of_two = unknown[:, band] + of_cells + 1e-8
         log_ratio = _log_ratio(squared, variance_of_one, variance_of_two).astype(np.float64)
-        yield _Band(squared, variance_of_one, signal, log_ratio)
+        yield _Band(squared, variance_of_one, log_ratio, signal, ends)
 
 
 def closure_score(evidence: Evidence, num_inliers: int) -> float:

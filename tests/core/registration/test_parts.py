@@ -192,14 +192,15 @@ def test_alignment_leaves_alone_what_does_not_meet() -> None:
 
 
 def test_a_map_agrees_with_itself_and_not_with_another() -> None:
-    same = weigh(SURFACE, SURFACE, SE2())
+    (same,) = weigh(SURFACE, SURFACE, [SE2()])
     assert min(same.log_ratios) > 1.0
     # 8 m x 8 m of ground in patches of 2 pi 0.3 m x 0.3 m.
     assert same.patches == pytest.approx(64 / (2 * math.pi * 0.09), rel=0.1)
     assert same.agreement is not None
     assert same.agreement.difference == pytest.approx(0.0, abs=1e-4)
     assert same.agreement.difference < same.agreement.possible < same.agreement.relief
-    other = weigh(smooth_surface(map_of(SE2(), Ground.random(99, shortest=1.0))), SURFACE, SE2())
+    unrelated = smooth_surface(map_of(SE2(), Ground.random(99, shortest=1.0)))
+    (other,) = weigh(unrelated, SURFACE, [SE2()])
     assert other.log_ratios[0] < 0
     assert other.agreement is not None
     assert other.agreement.difference > 3 * other.agreement.possible
@@ -210,7 +211,7 @@ def test_the_map_of_the_evidence_adds_up_to_what_is_scored() -> None:
     query = map_of(true)
     surface = smooth_surface(query)
     grid, shown = map_agreement(query, DATABASE, true)
-    evidence = weigh(surface, SURFACE, true)
+    (evidence,) = weigh(surface, SURFACE, [true])
     count = np.isfinite(shown).sum()
     assert grid.shape == shown.shape
     assert count * grid.resolution**2 / (2 * math.pi * SURFACE.scale**2) == evidence.patches
@@ -225,11 +226,22 @@ def test_the_map_of_the_evidence_adds_up_to_what_is_scored() -> None:
     assert np.isnan(nowhere).all()
 
 
+def test_motions_weighed_together_are_weighed_as_alone() -> None:
+    motions = [SE2(), SE2(100.0), SE2(2.0, 1.0, 0.5), SE2(-3.0, 0.5, -2.0)]
+    together = weigh(SURFACE, SURFACE, motions)
+    assert together[1].patches == 0
+    assert together[1].agreement is None
+    for motion, evidence in zip(motions, together, strict=True):
+        (alone,) = weigh(SURFACE, SURFACE, [motion])
+        assert evidence.patches == alone.patches
+        assert evidence.log_ratios == pytest.approx(alone.log_ratios, abs=1e-5)
+
+
 def test_the_evidence_asks_for_the_same_height() -> None:
     steeper = smooth_surface(
         map_of(SE2(), Ground(GROUND.wave_vectors, GROUND.phases, 1.5 * GROUND.amplitudes))
     )
-    of_same, of_steeper = (weigh(one, SURFACE, SE2()) for one in (SURFACE, steeper))
+    of_same, of_steeper = (weigh(one, SURFACE, [SE2()])[0] for one in (SURFACE, steeper))
     assert of_steeper.log_ratios[0] < 0.5 * of_same.log_ratios[0]
     assert of_steeper.log_ratios[1] < 0.5 * of_same.log_ratios[1]
 
@@ -251,27 +263,30 @@ def test_equal_heights_are_the_most_evidence_and_noise_lowers_it() -> None:
 
 def test_flat_ground_says_nothing() -> None:
     flat = smooth_surface(map_of(SE2(), Ground.random(5, shortest=1.0, std=0.0005)))
-    assert max(np.abs(weigh(flat, flat, SE2()).log_ratios)) < 0.3
+    assert max(np.abs(weigh(flat, flat, [SE2()])[0].log_ratios)) < 0.3
 
 
 def test_a_rock_that_moved_does_not_decide() -> None:
     moved = DATABASE.elevation.copy()
     moved[30:36, 30:36] += 0.5
-    with_rock = weigh(smooth_surface(replace(DATABASE, elevation=moved)), SURFACE, SE2())
+    (with_rock,) = weigh(smooth_surface(replace(DATABASE, elevation=moved)), SURFACE, [SE2()])
     assert min(with_rock.log_ratios) > 0.5
 
 
 def test_tilt_and_bend_of_a_submap_do_not_count_as_a_difference() -> None:
     x, y = GRID.x, GRID.y[:, None]
     bent = replace(DATABASE, elevation=DATABASE.elevation + 0.02 * x - 0.01 * y + 0.003 * x * y)
-    said, same = weigh(smooth_surface(bent), SURFACE, SE2()), weigh(SURFACE, SURFACE, SE2())
+    said, same = (weigh(one, SURFACE, [SE2()])[0] for one in (smooth_surface(bent), SURFACE))
     assert said.log_ratios == pytest.approx(same.log_ratios, abs=0.3)
 
 
 def test_weighing_the_other_way_round_says_the_same() -> None:
     true = SE2(1.0, -0.7, 2.0)
     surface = smooth_surface(map_of(true))
-    forth, back = weigh(surface, SURFACE, true), weigh(SURFACE, surface, true.inverse())
+    (forth,), (back,) = (
+        weigh(surface, SURFACE, [true]),
+        weigh(SURFACE, surface, [true.inverse()]),
+    )
     assert forth.log_ratios == pytest.approx(back.log_ratios, abs=0.1)
     assert forth.patches == pytest.approx(back.patches, rel=0.1)
 
