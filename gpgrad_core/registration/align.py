@@ -167,7 +167,7 @@ def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Overlays:
+class SparseOverlay:
     """Two maps on some of the database's cells, under several motions at once."""
 
     common: Bool[Mask, "m cells"]  # which of the cells both maps trust (m, cells)
@@ -180,11 +180,11 @@ class Overlays:
     cells_a_patch: float  # number of these cells in a patch of 2π scale²
 
 
-def overlays(
+def sparse_overlay(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
-) -> Overlays:
+) -> SparseOverlay:
     """Resample the query on about ``num_cells`` of the database's cells, under several motions."""
-    return _problem(query, database, num_cells, LEVEL).overlays(motions)
+    return _problem(query, database, num_cells, LEVEL).overlay(motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,15 +222,9 @@ def overlay(query: Surface, database: Surface, motions: Sequence[SE2]) -> Overla
     """Resample the query on the database's cells under each ``T_database_query``."""
     grid, image = database.grid, _heights_and_noise(query)
     moved = np.empty((len(motions), *grid.shape, image.shape[2]), np.float32)
-    for motion, out in zip(motions, moved, strict=True):
-        c, s = np.cos(motion.yaw), np.sin(motion.yaw)
-        x, y = grid.origin[0] - motion.x, grid.origin[1] - motion.y
-        column, row = (
-            (place - origin) / query.grid.resolution
-            for place, origin in zip((c * x + s * y, c * y - s * x), query.grid.origin, strict=True)
-        )
-        c, s = (grid.resolution / query.grid.resolution * part for part in (c, s))
-        onto = np.array([[c, s, column], [-s, c, row]])
+    matrices = _to_pixels(query.grid, _rows(motions), np.array(grid.origin))
+    matrices[..., :2] *= grid.resolution
+    for onto, out in zip(matrices, moved, strict=True):
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         cv2.warpAffine(image, onto, grid.shape[::-1], out, flags=flags)
     common = (moved[..., 1] > 0.999) & database.trusted
@@ -306,11 +300,11 @@ def take_warp_out(overlap: Overlay) -> tuple[Heights, Heights]:
     diagonal = np.arange(len(precision))
     coefficients = np.zeros((len(common), 1, len(precision)))
     numbers = used.sum(axis=1)
-    left = difference - medians(difference, numbers)[:, None]
+    left = difference - _medians(difference, numbers)[:, None]
     weight = used.astype(np.float64)
     for _ in range(WARP_ROUNDS):
         squared = left * left
-        variance = medians(squared, numbers) / 0.455 + 1e-12
+        variance = _medians(squared, numbers) / 0.455 + 1e-12
         weighed = some * weight[:, None]
         normal = weighed @ some.transpose(0, 2, 1)
         normal[:, diagonal, diagonal] *= 1 + 1e-9
@@ -342,7 +336,7 @@ def _every(
     return cells, used
 
 
-def medians(values: Float[Array, "m n"], numbers: Int[Indices, "m"]) -> Float[Array, "m"]:
+def _medians(values: Float[Array, "m n"], numbers: Int[Indices, "m"]) -> Float[Array, "m"]:
     """Compute the median of the first values of each row."""
     return np.array([median(row[:n]) for row, n in zip(values, numbers.tolist(), strict=True)])
 
@@ -443,14 +437,15 @@ class _Problem:
     def descend(
         self, starts: list[SE2], iterations: int
     ) -> tuple[Float[Array, "m 3"], Float[Singles, "m cells"] | None]:
-        motions = np.array([[start.x, start.y, start.yaw] for start in starts])
+        motions = _rows(starts)
         weight: Float[Singles, "m cells"] | None = None
         moving = np.arange(len(motions))
         for _ in range(iterations):
             step = self.linearise(motions[moving], None if weight is None else weight[moving])
             if weight is None:
                 weight = step.weight
-            weight[moving] = step.weight
+            else:
+                weight[moving] = step.weight
             # A motion that is not held stays where it is, and so it is never held.
             moving = moving[step.held]
             if not len(moving):
@@ -569,11 +564,11 @@ class _Problem:
         squared = np.clip(correlation, 0.0, 0.9999) ** 2
         return -np.log1p(-squared) * np.sqrt(common.sum(axis=1))
 
-    def overlays(self, motions: Float[Array, "m 3"]) -> Overlays:
+    def overlay(self, motions: Float[Array, "m 3"]) -> SparseOverlay:
         sampled = self._sample(_heights_and_noise(self._query), motions)
         elevation, trusted, *bands = (np.asarray(one, np.float32) for one in cv2.split(sampled))
         there = self._database.noise[self._rows, self._columns].sum(axis=1)
-        return Overlays(
+        return SparseOverlay(
             trusted > 0.999,
             elevation,
             self._elevation,
@@ -586,13 +581,8 @@ class _Problem:
         self, image: Float[Singles, "rows columns fields"], motions: Float[Array, "m 3"]
     ) -> Float[Singles, "m cells fields"]:
         """Sample images of the query at the database's cells; 0 beyond the query's edge."""
-        grid = self._query.grid
-        yaw = motions[:, 2]
-        c, s = np.cos(yaw) / grid.resolution, np.sin(yaw) / grid.resolution
-        x, y = (self._middle - motions[:, :2]).T
-        column, row = (origin / grid.resolution for origin in grid.origin)
-        onto = np.array([[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]])
-        columns, rows = onto.transpose(0, 2, 1).astype(np.float32) @ self._positions
+        onto = _to_pixels(self._query.grid, motions, self._middle).astype(np.float32)
+        columns, rows = onto.transpose(1, 0, 2) @ self._positions
         sampled = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         return np.asarray(sampled, np.float32)
 
@@ -608,6 +598,21 @@ def _precision(warp: Warp) -> Float[Array, "p"]:
     tilts = [warp.tilt_std**-2] * 2
     bends = [] if warp.bend_std is None else [warp.bend_std**-2] * 3
     return np.array([0.0] * 4 + tilts + bends)
+
+
+def _to_pixels(
+    grid: Grid, motions: Float[Array, "m 3"], middle: Float[Array, "2"]
+) -> Float[Array, "m 2 3"]:
+    """Make the matrices from positions of the database [m], relative to a middle, to pixels."""
+    c, s = np.cos(motions[:, 2]) / grid.resolution, np.sin(motions[:, 2]) / grid.resolution
+    x, y = (middle - motions[:, :2]).T
+    column, row = (origin / grid.resolution for origin in grid.origin)
+    onto = np.array([[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]])
+    return np.ascontiguousarray(onto.transpose(2, 0, 1))
+
+
+def _rows(motions: Sequence[SE2]) -> Float[Array, "m 3"]:
+    return np.array([[motion.x, motion.y, motion.yaw] for motion in motions])
 
 
 def _motion(row: Float[Array, "3"]) -> SE2:

@@ -7,16 +7,16 @@ from math import exp, expm1, log, log1p, pi, sqrt
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32
 
-from gpgrad_core.arrays import Array, Floats, Indices, Singles
+from gpgrad_core.arrays import Array, Floats, Singles
 from gpgrad_core.registration.align import (
     FEWEST_CELLS,
     Overlay,
     median,
     overlay,
-    overlays,
     smooth_between,
+    sparse_overlay,
     take_warp_out,
 )
 from gpgrad_core.registration.surface import NUM_BANDS, Surface, ThinMap, band_edges, smooth_surface
@@ -65,16 +65,17 @@ def weigh(query: Surface, database: Surface, motions: Sequence[SE2]) -> list[Evi
     held = overlap.counts >= FEWEST_CELLS
     if not held.any():
         return evidence
-    bands = list(_compare_bands(overlap.select(held)))
+    overlap = overlap.select(held)
+    bands, ends = list(_compare_bands(overlap)), np.cumsum(overlap.counts)
     for row, k in enumerate(np.flatnonzero(held).tolist()):
-        of_motion = [band.of_motion(row) for band in bands]
+        cells = slice(ends[row] - overlap.counts[row], ends[row])
         evidence[k] = Evidence(
             patches[k],
-            tuple(float(np.mean(band.log_ratio)) for band in of_motion),
+            tuple(float(np.mean(band.log_ratio[cells])) for band in bands),
             Agreement(
-                sqrt(sum(2 * median(band.squared) / 0.455 for band in of_motion)),
-                sqrt(sum(2 * float(np.mean(band.variance_of_one)) for band in of_motion)),
-                sqrt(sum(float(band.signal[0]) for band in of_motion)),
+                sqrt(sum(2 * median(band.squared[cells]) / 0.455 for band in bands)),
+                sqrt(sum(2 * float(np.mean(band.variance_of_one[cells])) for band in bands)),
+                sqrt(sum(float(band.signal[row]) for band in bands)),
             ),
         )
     return evidence
@@ -84,7 +85,7 @@ def rough_evidence(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> Float[Array, "m"]:
     """Weigh several motions (x, y, yaw) at once, in one band and over fewer cells than `weigh`."""
-    overlaps = overlays(query, database, motions, num_cells)
+    overlaps = sparse_overlay(query, database, motions, num_cells)
     x, y = overlaps.positions
     warp = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     weight = overlaps.common.astype(np.float32)
@@ -150,24 +151,12 @@ class _Band:
     variance_of_one: Float[Array, "n"]  # variance of that if both maps show one terrain [m²]
     log_ratio: Float[Array, "n"]  # of one terrain against two
     signal: Float[Array, "m"]  # variance S of the terrain itself under each motion [m²]
-    ends: Int[Indices, "m"]  # number of the cells up to the end of each motion
-
-    def of_motion(self, k: int) -> "_Band":
-        """Select the cells of one motion."""
-        cells = slice(self.ends[k - 1] if k else 0, self.ends[k])
-        return _Band(
-            self.squared[cells],
-            self.variance_of_one[cells],
-            self.log_ratio[cells],
-            self.signal[k : k + 1],
-            self.ends[k : k + 1],
-        )
 
 
 def _compare_bands(overlap: Overlay) -> Iterator[_Band]:
     """Compare the heights in one band after the other, from the shortest waves."""
     cells = np.flatnonzero(overlap.common)
-    counts, ends = overlap.counts, np.cumsum(overlap.counts)
+    counts = overlap.counts
     unknown = overlap.noise.astype(np.float64)
     pair = take_warp_out(overlap)
     for band in range(NUM_BANDS):
@@ -178,12 +167,12 @@ def _compare_bands(overlap: Overlay) -> Iterator[_Band]:
         )
         pair = smoother
         squared = 0.5 * np.square(a - b)
-        signal = 0.5 * np.add.reduceat(a * a + b * b, ends - counts) / counts
+        signal = 0.5 * np.add.reduceat(a * a + b * b, np.cumsum(counts) - counts) / counts
         of_cells = np.repeat(signal, counts)
         variance_of_one = unknown[:, band] + DRIFT_SHARE**2 * of_cells + 1e-8
         variance_of_two = unknown[:, band] + of_cells + 1e-8
         log_ratio = _log_ratio(squared, variance_of_one, variance_of_two).astype(np.float64)
-        yield _Band(squared, variance_of_one, log_ratio, signal, ends)
+        yield _Band(squared, variance_of_one, log_ratio, signal)
 
 
 def closure_score(evidence: Evidence, num_inliers: int) -> float:
