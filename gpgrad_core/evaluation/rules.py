@@ -45,7 +45,10 @@ class EvaluationParams:
     max_offset_error: Annotated[
         float,
         Bounds(0.01, 1000.0, 0.05, "m", slider=(0.05, 2.0)),
-        Doc("Largest distance from the true position at which a motion is right."),
+        Doc(
+            "Largest distance of the query's middle from its true position at which a motion is "
+            "right."
+        ),
     ] = MAX_OFFSET
     max_turn_error: Annotated[
         float,

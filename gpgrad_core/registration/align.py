@@ -18,16 +18,14 @@ from gpgrad_core.types import Grid
 
 FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
-DRIFT_SHIFT, DRIFT_TURN = 0.0021, 0.008
-"""Standard deviation that drift within a submap adds to a motion: a share of the query's width
-along x and y, and of the yaw [rad]."""
+DRIFT_SHIFT, DRIFT_TURN, DRIFT_RISE = 0.0021, 0.008, 0.0011
+"""Standard deviation that drift within a submap adds to a motion: shares of the query's width along
+x and y, and of the height, and of the yaw [rad]."""
 NOISE_SHARE = 0.7
 """Share of the variance between patches of two maps by which a motion errs; the rest is differences
 that pull it nowhere."""
 RIGID_TILT = 0.0015
 """Maps that are tilted by this against each other [rad] have half of that variance."""
-LEAST_TILT = 0.001
-"""Smallest tilt between two maps that the heights are as uncertain for [rad]."""
 ROBUSTNESS = 1.0
 """A residual whose square is this many (robust) variances has half of the full weight."""
 ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
@@ -526,30 +524,31 @@ class _Problem:
     ) -> Alignment:
         last = self.linearise(motions, weight)
         covariance, middle = last.variance[0] * np.linalg.inv(last.normal[0]), last.middle[0]
+        drift, rise = self._drift(last)
         return Alignment(
             _motion(motions[0]),
             bool(last.held[0]),
             float(last.change[0, 3]) + self._database.base - self._query.base,
-            self._height_std(motions[0], last, float(covariance[3, 3])),
+            self._height_std(motions[0], last, max(float(covariance[3, 3]), 0.0) + rise),
             move_covariance(NOISE_SHARE * covariance[:3, :3], middle - self._middle),
-            self._drift(last),
+            drift,
             (float(middle[0]), float(middle[1])),
         )
 
-    def _drift(self, step: _Step) -> Float[Array, "3 3"]:
-        """Compute the covariance of x, y and yaw by drift, which tilts the maps."""
+    def _drift(self, step: _Step) -> tuple[Float[Array, "3 3"], float]:
+        """Compute the covariance of x, y and yaw by drift, which tilts the maps, and of heights."""
         squared = np.sum(step.change[0, 4:6] ** 2)
         drifted = squared / (squared + RIGID_TILT**2)
         stds = np.array([DRIFT_SHIFT * self._width] * 2 + [DRIFT_TURN])
-        return drifted * np.diag(stds**2)
+        return drifted * np.diag(stds**2), float(drifted * (DRIFT_RISE * self._width) ** 2)
 
-    def _height_std(self, motion: Float[Array, "3"], step: _Step, by_noise: float) -> float:
-        """Compute the standard deviation of the height offset at the middles of the maps [m]."""
-        tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
+    def _height_std(self, motion: Float[Array, "3"], step: _Step, variance: float) -> float:
+        """Add the tilt to a variance of the height offset; a deviation at the maps' middles [m]."""
+        tilt, middle = np.sum(step.change[0, 4:6] ** 2), step.middle[0]
         query = _motion(motion).apply(self._query.disc[0][None])[0]
         ways = (np.sum((place - middle) ** 2) for place in (query, self._database.disc[0]))
         ways_squared = sum(np.minimum(way, self._width**2) for way in ways)
-        return float(np.sqrt(max(by_noise, 0.0) + tilt * ways_squared / 4))
+        return float(np.sqrt(variance + tilt * ways_squared / 4))
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
         if not self._query.terrain.size:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.registration.align import (
+    DRIFT_RISE,
     DRIFT_SHIFT,
     DRIFT_TURN,
     DRIFTED,
@@ -153,15 +154,19 @@ def level_and_tilted() -> list[Surface]:
     return [sharp_surface(each) for each in (level, tilted)]
 
 
+WIDTH = np.sqrt(GRID.num_cells) * GRID.resolution
+
+
 def drifted(query: Surface, database: Surface) -> Alignment:
     return align(query, database, TILTED_BY, num_cells=3000, iterations=5, warp=DRIFTED)
 
 
 def test_maps_that_tilt_against_each_other_have_drifted(level_and_tilted: list[Surface]) -> None:
-    rigid, tilted = (drifted(each, sharp_surface(DATABASE)).drift for each in level_and_tilted)
-    whole = (DRIFT_SHIFT * np.sqrt(GRID.num_cells) * GRID.resolution) ** 2
-    assert rigid[0, 0] < 0.2 * whole < 0.9 * whole < tilted[0, 0]
-    assert 0.9 * DRIFT_TURN**2 < tilted[2, 2] < DRIFT_TURN**2
+    rigid, tilted = (drifted(each, sharp_surface(DATABASE)) for each in level_and_tilted)
+    whole = (DRIFT_SHIFT * WIDTH) ** 2
+    assert rigid.drift[0, 0] < 0.2 * whole < 0.9 * whole < tilted.drift[0, 0]
+    assert 0.9 * DRIFT_TURN**2 < tilted.drift[2, 2] < DRIFT_TURN**2
+    assert rigid.z_std < 0.5 * DRIFT_RISE * WIDTH < 0.95 * DRIFT_RISE * WIDTH < tilted.z_std
 
 
 def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap(
@@ -178,8 +183,9 @@ def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap(
     )
     # Each of the maps has half of the tilt's variance, and half of that is along the way.
     way = np.linalg.norm(np.subtract(part.middle, sharp_surface(DATABASE).disc[0]))
-    assert part.z_std == pytest.approx(0.01 * way / 2, rel=0.25)
-    assert whole.z_std < 0.5 * part.z_std
+    by_tilt, by_drift = 0.01 * way / 2, DRIFT_RISE * WIDTH
+    assert part.z_std == pytest.approx(np.hypot(by_tilt, by_drift), rel=0.25)
+    assert whole.z_std < np.hypot(0.5 * by_tilt, by_drift)
 
 
 def test_alignment_leaves_alone_what_does_not_meet() -> None:

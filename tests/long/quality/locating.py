@@ -147,10 +147,11 @@ def _row(
             off = place.pose.translation[:2] - true.translation[:2]
             error = float(np.linalg.norm(off))
             right_at_all += error <= RIGHT
-            covariance = place.verdict.registration.covariance
+            found = place.verdict.registration
             if place.verdict.accepted:
                 errors.append(error)
-                if covariance is not None and error <= FAR:
+                if found.covariance is not None and error <= FAR:
+                    covariance = found.covariance_at(np.zeros(2))  # of the submap's origin
                     squared.append(float(off @ np.linalg.solve(covariance[:2, :2], off)))
     right, wrong = (sum(one) for one in ([e <= RIGHT for e in errors], [e > FAR for e in errors]))
     inside = [np.mean(np.array(squared) <= limit) if squared else np.nan for limit in ELLIPSES]

@@ -86,7 +86,6 @@ def errors_of(dataset: Dataset) -> Errors:
             submaps[closure.database_id].pose_true,
         )
         assert motion is not None
-        assert said.covariance is not None
         assert said.z_std is not None
         assert query is not None
         assert database is not None
@@ -95,7 +94,8 @@ def errors_of(dataset: Dataset) -> Errors:
         if np.hypot(left.x, left.y) > 0.5 or abs(left.yaw) > np.radians(5):
             continue
         error = np.array([motion.x - true.x, motion.y - true.y, left.yaw])
-        squared.append(float(error @ np.linalg.solve(said.covariance, error)))
+        covariance = said.covariance_at(np.zeros(2))  # the error is that of the query's origin
+        squared.append(float(error @ np.linalg.solve(covariance, error)))
         rise = float((database.inverse() @ query).translation[2])
         height.append(abs(said.z_offset - rise) / said.z_std)
     return Errors(np.array(squared), np.array(height))

@@ -67,9 +67,8 @@ def _errors(closure: LoopClosure, submaps: dict[str, Submap]) -> tuple[float, fl
     """Measure how far the query's middle is off [m], and the squared Mahalanobis error / 3."""
     query, database = submaps[closure.query_id], submaps[closure.database_id]
     registration = closure.registration
-    motion, covariance = registration.T_database_query, registration.covariance
+    motion = registration.T_database_query
     assert motion is not None
-    assert covariance is not None
     assert query.pose_true is not None
     assert database.pose_true is not None
     true = database.pose_true.planar.inverse() @ query.pose_true.planar
@@ -77,4 +76,5 @@ def _errors(closure: LoopClosure, submaps: dict[str, Submap]) -> tuple[float, fl
     off = float(np.hypot(*(motion.apply(middle) - true.apply(middle))[0]))
     turn = (motion.yaw - true.yaw + np.pi) % (2 * np.pi) - np.pi
     error = np.array([motion.x - true.x, motion.y - true.y, turn])
+    covariance = registration.covariance_at(np.zeros(2))  # the error is that of the query's origin
     return off, float(error @ np.linalg.solve(covariance, error)) / 3
