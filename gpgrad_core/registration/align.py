@@ -18,7 +18,7 @@ from gpgrad_core.types import Grid
 
 FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
-DRIFT_SHIFT, DRIFT_TURN, DRIFT_RISE = 0.0021, 0.008, 0.0011
+DRIFT_SHIFT, DRIFT_TURN, DRIFT_RISE = 0.0021, 0.008, 0.0012
 """Standard deviation that drift within a submap adds to a motion: shares of the query's width along
 x and y, and of the height, and of the yaw [rad]."""
 NOISE_SHARE = 0.7
