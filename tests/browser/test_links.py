@@ -260,6 +260,7 @@ def test_the_matrix_beside_the_map_lights_up_pairs(person: Any, viewer: Viewer) 
     page.get_by_text("loop closures in 45 pairs").wait_for()
     page.get_by_role("button", name="Explore", exact=True).click()
     shows(page, "scene=world")
+    assert viewer.wait_idle(PATIENCE)  # no outline is drawn of a submap that is not on the map yet
     matrix.focus()
     for key in ("ArrowDown", "ArrowDown", "ArrowRight"):
         matrix.press(key)
