@@ -524,23 +524,23 @@ class _Problem:
     ) -> Alignment:
         last = self.linearise(motions, weight)
         covariance, middle = last.variance[0] * np.linalg.inv(last.normal[0]), last.middle[0]
-        drift, rise = self._drift(last)
+        drift = self._drift(last)
         return Alignment(
             _motion(motions[0]),
             bool(last.held[0]),
             float(last.change[0, 3]) + self._database.base - self._query.base,
-            self._height_std(motions[0], last, max(float(covariance[3, 3]), 0.0) + rise),
+            self._height_std(motions[0], last, max(covariance[3, 3], 0.0) + drift[3, 3]),
             move_covariance(NOISE_SHARE * covariance[:3, :3], middle - self._middle),
-            drift,
+            drift[:3, :3],
             (float(middle[0]), float(middle[1])),
         )
 
-    def _drift(self, step: _Step) -> tuple[Float[Array, "3 3"], float]:
-        """Compute the covariance of x, y and yaw by drift, which tilts the maps, and of heights."""
+    def _drift(self, step: _Step) -> Float[Array, "4 4"]:
+        """Compute the covariance of x, y, yaw and the height by drift, which tilts the maps."""
         squared = np.sum(step.change[0, 4:6] ** 2)
         drifted = squared / (squared + RIGID_TILT**2)
-        stds = np.array([DRIFT_SHIFT * self._width] * 2 + [DRIFT_TURN])
-        return drifted * np.diag(stds**2), float(drifted * (DRIFT_RISE * self._width) ** 2)
+        shift, rise = DRIFT_SHIFT * self._width, DRIFT_RISE * self._width
+        return drifted * np.diag(np.array([shift, shift, DRIFT_TURN, rise]) ** 2)
 
     def _height_std(self, motion: Float[Array, "3"], step: _Step, variance: float) -> float:
         """Add the tilt to a variance of the height offset; a deviation at the maps' middles [m]."""

@@ -14,9 +14,10 @@ import gpgrad_core as gg
 from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation import calibrate, describe_calibration
 from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.se2 import SE2
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, Registration
 from tests.long.quality.degraded import load_degraded
 from tests.long.quality.test_hard_ground import HILLS, KINDS, detect
 from tests.long.quality.test_noise import LIDAR, ROUGH, SMOOTH
@@ -72,6 +73,15 @@ class Errors:
         )
 
 
+def squared_error(registration: Registration, true: SE2) -> float:
+    """Compute the squared Mahalanobis error of x, y and yaw, all at the query's origin."""
+    motion = registration.T_database_query
+    assert motion is not None
+    turn = (true.inverse() @ motion).yaw
+    error = np.array([motion.x - true.x, motion.y - true.y, turn])
+    return float(error @ np.linalg.solve(registration.covariance_at(np.zeros(2)), error))
+
+
 def errors_of(dataset: Dataset) -> Errors:
     """Compare the accepted closures whose motion is right (0.5 m, 5 degrees) with the truth."""
     submaps = {submap.id: submap for submap in dataset.submaps}
@@ -93,9 +103,7 @@ def errors_of(dataset: Dataset) -> Errors:
         left = true.inverse() @ motion
         if np.hypot(left.x, left.y) > 0.5 or abs(left.yaw) > np.radians(5):
             continue
-        error = np.array([motion.x - true.x, motion.y - true.y, left.yaw])
-        covariance = said.covariance_at(np.zeros(2))  # the error is that of the query's origin
-        squared.append(float(error @ np.linalg.solve(covariance, error)))
+        squared.append(squared_error(said, true))
         rise = float((database.inverse() @ query).translation[2])
         height.append(abs(said.z_offset - rise) / said.z_std)
     return Errors(np.array(squared), np.array(height))

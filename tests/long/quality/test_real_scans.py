@@ -11,6 +11,7 @@ import pytest
 import gpgrad_core as gg
 from gpgrad_core.detection import resolve_parameters
 from gpgrad_core.types import LoopClosure, Submap
+from tests.long.quality.test_calibration import squared_error
 
 APART = ("007", "006")
 """The one pair across parity that shares no ground."""
@@ -74,7 +75,4 @@ def _errors(closure: LoopClosure, submaps: dict[str, Submap]) -> tuple[float, fl
     true = database.pose_true.planar.inverse() @ query.pose_true.planar
     middle = query.points[:, :2].mean(axis=0)[None]
     off = float(np.hypot(*(motion.apply(middle) - true.apply(middle))[0]))
-    turn = (motion.yaw - true.yaw + np.pi) % (2 * np.pi) - np.pi
-    error = np.array([motion.x - true.x, motion.y - true.y, turn])
-    covariance = registration.covariance_at(np.zeros(2))  # the error is that of the query's origin
-    return off, float(error @ np.linalg.solve(covariance, error)) / 3
+    return off, squared_error(registration, true) / 3
